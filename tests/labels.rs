@@ -3,10 +3,11 @@
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 use std::path::{Path, PathBuf};
+use std::process::Stdio;
 
 use evermap_messages::annotation::{Annotation, Geometry};
 use evermap_recording::annotations::AnnotationLog;
-use evermap_tests::{DrivePose, Finished, evermap, text, write_drive};
+use evermap_tests::{DrivePose, Finished, command, evermap, text, write_drive};
 use serde_json::{Value, json};
 
 /// A straight drive at 2 m/s whose odometry measures a metre as so many.
@@ -171,6 +172,33 @@ fn labels_are_drawn_once_and_move_with_the_poses_of_every_version() {
     );
     let kept = lot.ask("SELECT count(*) AS n FROM label_anchors WHERE anchor['session'] = 'a'");
     assert_eq!(kept[0]["n"], 2);
+
+    // Two labels in the two versions that have them are four outlines, where each version has them.
+    let (map, picture) = (lot.path("map"), lot.path("labels.svg"));
+    let drawn = ["render", "--map", text(&map), "--view", "labels"];
+    let drawn = [&drawn[..], &["--out", text(&picture)]].concat();
+    evermap(&drawn).expect(0);
+    let svg = std::fs::read_to_string(&picture).unwrap();
+    for told in [
+        "parking_space one in version 2: 1000 mm off the newest",
+        "parking_space two in version 2: 2000 mm off the newest",
+        "parking_space two in version 3: 0 mm off the newest",
+    ] {
+        assert!(svg.contains(told), "{told}");
+    }
+    assert_eq!(svg.matches(" off the newest").count(), 4);
+    let newest = [&drawn[..], &["--since", "3"]].concat();
+    evermap(&newest).expect(0);
+    let svg = std::fs::read_to_string(&picture).unwrap();
+    assert_eq!(svg.matches(" off the newest").count(), 2);
+    let none = evermap(&[&drawn[..], &["--since", "9"]].concat()).expect(1);
+    assert!(none.stderr.contains("no version 9"), "{}", none.stderr);
+    let before = evermap(&[&drawn[..], &["--version", "1"]].concat()).expect(1);
+    assert!(
+        before.stderr.contains("no labels of lot"),
+        "{}",
+        before.stderr
+    );
 }
 
 const SPACE: [&str; 2] = ["--kind", "parking_space"];
@@ -331,6 +359,37 @@ fn two_people_who_disagree_are_counted_and_the_later_holds() {
         { "label": "two", "standing": "drawn", "author": "ada" },
     ]);
     assert_eq!(standing, expected);
+}
+
+/// Somebody with two windows open, who says two things in each; of one label something else.
+#[test]
+fn an_author_twice_at_once_loses_nothing() {
+    let lot = Lot::new();
+    lot.run(&["a.mcap"]).expect(0);
+    let said = [
+        collection(&[("one", space(5.0, 2.0)), ("two", space(10.0, 2.0))]),
+        collection(&[("one", space(5.5, 2.0)), ("three", space(15.0, 2.0))]),
+    ];
+    let (map, log) = (lot.path("map"), lot.path("ada.mcap"));
+    let windows = [0, 1].map(|window| {
+        let file = lot.path(&format!("window_{window}.json"));
+        std::fs::write(&file, said[window].to_string()).unwrap();
+        let mut import = command(&["annotate", "--map", text(&map), "--author", "ada"]);
+        import.args(["--import", text(&file), "--out", text(&log)]);
+        import.args(SPACE).stdout(Stdio::piped());
+        import.stderr(Stdio::piped()).spawn().unwrap()
+    });
+    for window in windows.map(|window| window.wait_with_output().unwrap()) {
+        let ended = Finished::from(window);
+        // One may read what the other is about to write, which is a log without an end.
+        assert!([0, 3].contains(&ended.code), "{}", ended.stderr);
+    }
+    lot.run(&["ada.mcap", "ada_2.mcap"]).expect(0);
+    assert_eq!(lot.ask("SELECT count(*) AS n FROM said")[0]["n"], 4);
+    let labels = lot.labels();
+    let names: Vec<&str> = labels.iter().map(|(name, ..)| name.as_str()).collect();
+    assert_eq!(names, ["one", "three", "two"]);
+    assert!([750, 800].contains(&labels[0].1), "{labels:?}");
 }
 
 #[test]

@@ -139,8 +139,8 @@ impl Floor {
         floor
     }
 
-    /// What a person says who sees all of it: each entrance is drawn; what was found beside them is rejected, until nothing
-    /// is found there any more, or four times.
+    /// What a person says who sees all of it: each entrance is drawn; what was found beside them, asked about or likely, is
+    /// rejected, until nothing is found there any more, or four times.
     fn taught(&self) -> Taught {
         let truth = self.truth.iter();
         let mut examples: Vec<Example> = truth
@@ -156,7 +156,8 @@ impl Floor {
         let mut taught = learn(&examples);
         for _ in 0..4 {
             let found = taught.find(&self.mosaic, &examples);
-            let wrong = found.iter().filter(|one| one.question.is_some());
+            let is_told = |one: &&Hypothesis| one.question.is_some() || one.probability > 0.5;
+            let wrong = found.iter().filter(is_told);
             let wrong: Vec<GroundBox> = wrong.map(|one| one.place).collect();
             examples.extend(wrong.into_iter().map(|place| Example {
                 place,

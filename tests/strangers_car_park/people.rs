@@ -174,13 +174,47 @@ fn it_is_driven_slowly_where_people_walk() {
         text(&mask),
     ];
     evermap(&export).expect(0);
-    let yaml = std::fs::read_to_string(&mask).unwrap();
-    assert!(yaml.contains("image: \"mask.pgm\"") && yaml.contains("mode: raw"));
-    assert!(
-        std::fs::read(mask.with_extension("pgm"))
-            .unwrap()
-            .starts_with(b"P5\n")
-    );
+    mask_has_the_speeds_of(&map, &mask);
+}
+
+/// The two files field by field, as Nav2's documentation has them, and cell by cell, as the map has the speeds.
+fn mask_has_the_speeds_of(map: &Path, mask: &Path) {
+    let yaml = std::fs::read_to_string(mask).unwrap();
+    let field = |name: &str| {
+        let mut lines = yaml.lines();
+        let value = lines.find_map(|line| line.strip_prefix(name)?.strip_prefix(": "));
+        value.unwrap_or_else(|| panic!("{name}: {yaml}"))
+    };
+    let fixed = ["image", "mode", "negate"].map(field);
+    assert_eq!(fixed, ["\"mask.pgm\"", "raw", "0"]);
+    let [resolution, occupied, free] = ["resolution", "occupied_thresh", "free_thresh"]
+        .map(|name| field(name).parse::<f64>().unwrap());
+    assert!(0.0 < free && free < occupied && occupied < 1.0, "{yaml}");
+    let origin: Vec<f64> = serde_json::from_str(field("origin")).unwrap();
+    assert_eq!((origin.len(), origin[2]), (3, 0.0));
+    let picture = std::fs::read(mask.with_extension("pgm")).unwrap();
+    let parts: Vec<&[u8]> = picture.splitn(4, |byte| *byte == b'\n').collect();
+    assert_eq!((parts[0], parts[2]), (&b"P5"[..], &b"255"[..]));
+    let size = std::str::from_utf8(parts[1]).unwrap().split(' ');
+    let size: Vec<usize> = size.map(|side| side.parse().unwrap()).collect();
+    let (width, height, pixels) = (size[0], size[1], parts[3]);
+    assert_eq!(pixels.len(), width * height);
+    // No limit at all is 0, and unknown, which the filter takes for an error, what is above 100.
+    assert!(pixels.iter().all(|pixel| (1..=100).contains(pixel)));
+    let cells = rows(map, None, "SELECT x, y, speed_mps, max_mps FROM speed_map");
+    for cell in &cells {
+        let number = |name: &str| cell[name].as_f64().unwrap();
+        let off_m = [number("x") - origin[0], number("y") - origin[1]];
+        let [column, row] = off_m.map(|off_m: f64| (off_m / resolution) as usize);
+        let step = number("max_mps") / 100.0;
+        assert!(yaml.contains(&format!("multiplier: {step:?}")), "{yaml}");
+        let limit = step * f64::from(pixels[(height - 1 - row) * width + column]);
+        let speed = number("speed_mps");
+        assert!(
+            limit <= speed.max(step) + 1e-9 && limit > speed - step - 1e-9,
+            "{cell}: {limit}"
+        );
+    }
 }
 
 /// A person in an image.

@@ -1,8 +1,10 @@
-//! What changed since an earlier version, to draw: the rows of `diff` of the layers that a picture shows.
+//! What changed since an earlier version, to draw: the rows of `diff` of the layers that a picture shows; and labels as all
+//! versions place them.
 
+use evermap_engine::map::version::Version;
 use evermap_schemas::{Fault, Geometry, Wkb, record};
 
-use crate::draw::Changes;
+use crate::draw::{Changes, Placings};
 use crate::reader::{MapReader, typed};
 
 /// Layers that are compared: those that stand for what people and planners rely on.
@@ -49,6 +51,32 @@ pub async fn changes(reader: &MapReader, site: &str, since: u64) -> Result<Chang
         }
     }
     Ok(changes)
+}
+
+/// Labels of a site as versions of the map at this address place them: from one of them on, else from the oldest, to the one
+/// that is read.
+///
+/// # Errors
+/// A user fault for a version that there is not; what reading says.
+pub async fn placings(
+    reader: &MapReader,
+    address: &str,
+    site: &str,
+    since: Option<u64>,
+) -> Result<Placings, Fault> {
+    if since.is_some() {
+        MapReader::open(address, since).await?;
+    }
+    let newest = reader.map.version.version;
+    let numbers = Version::numbers(&reader.map.store).await?;
+    let mut placings = Placings::new();
+    for number in numbers {
+        if (since.unwrap_or(0)..=newest).contains(&number) {
+            let version = MapReader::open(address, Some(number)).await?;
+            placings.insert(number, version.rows(Some(site)).await?);
+        }
+    }
+    Ok(placings)
 }
 
 fn add(changes: &mut Changes, row: &ChangedRow) -> Result<(), Fault> {

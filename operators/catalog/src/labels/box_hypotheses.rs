@@ -22,7 +22,7 @@ pub struct BoxHypothesesParams {}
 
 impl Operator for BoxHypotheses {
     const NAME: &'static str = "box_hypotheses";
-    const VERSION: u32 = 5;
+    const VERSION: u32 = 6;
     const PAGE: &'static str = include_str!("box_hypotheses.md");
     type Params = BoxHypothesesParams;
     type Output = BoxHypothesis;

@@ -7,7 +7,7 @@ use crate::arguments::{RenderArgs, Shown};
 use crate::draw::{Canvas, Picture, matrix, png, views};
 use crate::ending::{DONE, Ending};
 use crate::metric::metric_map;
-use crate::moved::changes;
+use crate::moved::{changes, placings};
 use crate::output::write_file;
 use crate::progress::line;
 use crate::reader::MapReader;
@@ -57,6 +57,13 @@ async fn picture(args: &RenderArgs, reader: &MapReader) -> Result<Picture, Fault
                 line(&format!("nothing of {site} changed since version {since}"));
             }
             drawn(reader, &scene.with_changes(changes), canvas)
+        }
+        Shown::Labels => {
+            let placed = placings(reader, &args.map.map, site, args.since).await?;
+            if placed.values().all(Vec::is_empty) {
+                return Err(nothing("labels", "labels, parking or car_park"));
+            }
+            drawn(reader, &scene.with_placings(&placed), canvas)
         }
         Shown::Metric => {
             let found = metric_map(reader, site).await?;

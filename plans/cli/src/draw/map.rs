@@ -260,7 +260,7 @@ fn legend(scene: &Scene, viewport: &Viewport) -> Vec<(String, Option<String>)> {
     let marks: BTreeSet<_> = scene.outlines.iter().map(|outline| &outline.mark).collect();
     lines.extend(marks.into_iter().map(|mark| {
         let name = strokes::name(&mark.name(), 28);
-        (name, Some(mark.colour().to_owned()))
+        (name, Some(mark.colour()))
     }));
     let loops = |accepted| scene.loops.iter().any(|line| line.accepted == accepted);
     let lane = match scene.lane_speeds.is_empty() {
@@ -286,6 +286,7 @@ fn legend(scene: &Scene, viewport: &Viewport) -> Vec<(String, Option<String>)> {
     if !scene.odometry.is_empty() {
         lines.push(("dashed: by odometry".to_owned(), None));
     }
+    lines.extend(scene.notes.iter().map(|note| (note.clone(), None)));
     lines
 }
 

@@ -19,6 +19,7 @@ mod map;
 mod matrix;
 mod outline;
 mod pixels;
+mod placings;
 mod semantic;
 mod slowness;
 mod strokes;
@@ -34,6 +35,7 @@ pub use map::{NOTHING, draw};
 pub use matrix::matrix;
 pub use outline::{Mark, Outline};
 pub use pixels::{decoded, encoded, png};
+pub use placings::Placings;
 pub use semantic::views;
 pub use slowness::SlowCell;
 pub use trajectory::Trajectory;
@@ -71,6 +73,8 @@ pub struct Scene {
     pub changes: Option<Changes>,
     /// Direction of the map's x axis, counter-clockwise from east; `None` where nobody knows.
     pub heading_rad: Option<f64>,
+    /// What the legend ends with; may be empty.
+    pub notes: Vec<String>,
 }
 
 /// A loop closure, from one keyframe's position to the other's.

@@ -18,6 +18,8 @@ pub enum Mark {
     Label(String),
     /// A box that a person is asked about.
     Asked,
+    /// A label as the version of this number places it.
+    Version(u64),
 }
 
 impl Mark {
@@ -38,25 +40,28 @@ impl Mark {
             Self::Unseen => "space, not seen".into(),
             Self::Label(kind) => kind.replace('_', " ").into(),
             Self::Asked => "asked about".into(),
+            Self::Version(number) => format!("version {number}").into(),
         }
     }
 
     /// Its colour.
-    pub fn colour(&self) -> &'static str {
-        match self {
+    pub fn colour(&self) -> String {
+        let colour = match self {
             Self::Free => colours::FREE,
             Self::Taken => colours::TAKEN,
             Self::Unseen => colours::UNSEEN,
             Self::Label(_) => colours::LABEL,
             Self::Asked => colours::ASKED,
-        }
+            Self::Version(number) => return colours::session(number.saturating_sub(1) as usize),
+        };
+        colour.to_owned()
     }
 
     /// How much of what lies below it hides.
     pub fn opacity(&self) -> f64 {
         match self {
             Self::Free | Self::Taken => 0.3,
-            Self::Unseen | Self::Label(_) | Self::Asked => 0.0,
+            Self::Unseen | Self::Label(_) | Self::Asked | Self::Version(_) => 0.0,
         }
     }
 }

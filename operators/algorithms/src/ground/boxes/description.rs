@@ -3,6 +3,10 @@
 //! Source: Dalal & Triggs, *Histograms of oriented gradients for human detection* (2005). The box's own axes are those of
 //! the histogram, so that a description is the same at every heading; contrast is levelled in the image
 //! ([`super::overhead`]) and once more over the whole box.
+//!
+//! What is described are roots of the histograms' values, so that products of two descriptions are Bhattacharyya's
+//! coefficient: a car beside a worn line is some times stronger, and would be all that a box shows. Source: Arandjelović &
+//! Zisserman, *Three things everyone should know to improve object retrieval* (2012).
 
 use super::GroundBox;
 use super::overhead::Gradients;
@@ -67,13 +71,16 @@ pub fn describe(gradients: &Gradients, of: &GroundBox) -> Option<Vec<f32>> {
     if (seen as f64) < LEAST_SEEN * (columns * rows) as f64 {
         return None;
     }
-    let norm = norm(cells.iter().map(|value| value * value).sum());
-    cells.iter_mut().for_each(|value| *value /= norm);
+    let norm = norm(cells.iter().sum());
+    let described = |value: f32| value.sqrt() / norm;
+    cells
+        .iter_mut()
+        .for_each(|value| *value = described(*value));
     cells[LENGTH - 1] = 1.0;
     Some(cells)
 }
 
-/// What a description is divided by, from the sum of its squares.
-pub(super) fn norm(squares: f32) -> f32 {
-    (squares + EMPTY * EMPTY * (ALONG * ACROSS) as f32 / BINS as f32).sqrt()
+/// What the roots of a box's histograms are divided by, from the sum of the histograms.
+pub(super) fn norm(sum: f32) -> f32 {
+    (sum + EMPTY * (ALONG * ACROSS) as f32).sqrt()
 }

@@ -158,7 +158,7 @@ struct Turned {
     step_m: f64,
     columns: usize,
     rows: usize,
-    /// By place and bin: the mean over a cell about that place.
+    /// By place and bin: the root of the mean over a cell about that place.
     cells: Vec<[f32; BINS]>,
     /// By place: the part of a box about it that was seen.
     seen: Vec<f32>,
@@ -204,6 +204,10 @@ impl Turned {
         let reach = reach_m(&turned.middle());
         let cell = [reach[0] / ALONG as f64, reach[1] / ACROSS as f64];
         turned.cells = turned.means(histograms, cell);
+        // Running sums of what is not negative may end below it by what was rounded.
+        let rooted = |value: f32| value.max(0.0).sqrt();
+        let cells = turned.cells.iter_mut();
+        cells.for_each(|bins| *bins = bins.map(rooted));
         turned.seen = turned
             .means(seen, reach)
             .into_iter()
