@@ -266,7 +266,9 @@ fn topics_of(parts: &[LogPart]) -> Vec<Topic> {
         for channel in part.index.channels.values() {
             let (schema, messages, untyped) = topics.entry(&channel.topic).or_default();
             *untyped |= part.index.is_untyped(channel);
-            *messages += part.index.channel_messages(channel.id).unwrap_or(0);
+            // Where nobody knows, there may be some.
+            let said = part.index.channel_messages(channel.id).unwrap_or(1);
+            *messages = messages.saturating_add(said);
             if let Some(found) = part.index.schema_of(channel) {
                 *schema = &found.name;
             }

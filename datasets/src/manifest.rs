@@ -243,12 +243,14 @@ impl Roles {
 }
 
 fn note(role: &Role, choice: &Choice) -> Option<String> {
-    let Choice { topic, passed_over } = choice;
-    (!passed_over.is_empty()).then(|| {
+    let (name, others) = (role.name, choice.passed_over.join(", "));
+    let why = choice
+        .why
+        .map_or_else(String::new, |why| format!(", {why}"));
+    (!others.is_empty()).then(|| {
         format!(
-            "{name} is read from {topic}; {} would do too: say roles.{name} in a session manifest to choose",
-            passed_over.join(", "),
-            name = role.name,
+            "{name} is read from {}{why}; {others} would do too: say roles.{name} in a session manifest to choose",
+            choice.topic,
         )
     })
 }

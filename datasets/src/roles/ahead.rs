@@ -22,12 +22,13 @@ pub(super) fn batches<T: LayerRow>(
     messages: Messages,
     part: &Arc<LogPart>,
     topic: &str,
+    known: Known,
     at_once: usize,
 ) -> Result<BoxStream<'static, ScanResult<RecordBatch>>, Fault> {
     let schema = T::layer().schema();
     let columns: Vec<usize> = (0..schema.fields().len()).collect();
     let topics = [topic.to_owned()];
-    let rows = RoleRows::new(messages, &topics, Known::default(), part, &schema, &columns)?;
+    let rows = RoleRows::new(messages, &topics, known, part, &schema, &columns)?;
     let units = Wanted {
         part,
         range: (0, u64::MAX),

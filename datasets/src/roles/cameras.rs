@@ -1,4 +1,5 @@
-//! What the cameras of a session are called: read from the first calibration of each topic.
+//! What the cameras of a session are called, read from the first calibration of each topic, and which of their images are
+//! read.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -10,23 +11,41 @@ use futures::TryStreamExt;
 use crate::fault::OrFault;
 use crate::roles::Topics;
 use crate::roles::ahead::batches;
-use crate::session::LogPart;
+use crate::roles::rows::Known;
+use crate::session::{LogPart, Session};
 
 /// The role that names cameras.
 pub(super) const ROLE: Role = calibration::ROLE;
 
-/// Reads the names of all sessions.
+/// The cameras of sessions, by the sessions' names.
+pub(super) type Cameras = BTreeMap<Arc<str>, CameraNames>;
+
+/// Which images of their cameras sessions read, without any names yet.
+pub(super) fn images(sessions: &[Session]) -> Cameras {
+    let of_session = |session: &Session| {
+        let topics = |role: &Role| {
+            let topics = session.roles.topics(role.name).iter();
+            let spoken = topics.filter(|topic| !session.is_silent(topic));
+            spoken.map(String::as_str).collect::<Vec<_>>()
+        };
+        (session.name.clone(), CameraNames::of_images(topics))
+    };
+    sessions.iter().map(of_session).collect()
+}
+
+/// Reads the names of all sessions, whose images are known.
 pub(super) async fn read(
     topics: &Topics,
     parts: &[Arc<LogPart>],
-) -> Result<BTreeMap<Arc<str>, CameraNames>, Fault> {
-    let mut cameras = BTreeMap::<Arc<str>, CameraNames>::new();
+    images: &Cameras,
+) -> Result<Cameras, Fault> {
+    let mut cameras = images.clone();
     for part in parts {
         for topic in topics.get(&part.session).into_iter().flatten() {
             let names = cameras.entry(part.session.clone()).or_default();
             if !names.knows(topic)
                 && let Some(messages) = ROLE.messages()
-                && let Some(first) = first(*messages, part, topic).await?
+                && let Some(first) = first(*messages, part, topic, names).await?
             {
                 names.add(topic, first.camera);
             }
@@ -40,8 +59,13 @@ async fn first(
     messages: Messages,
     part: &Arc<LogPart>,
     topic: &str,
+    cameras: &CameraNames,
 ) -> Result<Option<Calibration>, Fault> {
-    let mut batches = batches::<Calibration>(messages, part, topic, 1)?;
+    let known = Known {
+        cameras: cameras.clone(),
+        ..Known::default()
+    };
+    let mut batches = batches::<Calibration>(messages, part, topic, known, 1)?;
     match batches.try_next().await.or_fault()? {
         Some(batch) => Ok(rows::<Calibration>(&batch)?.into_iter().next()),
         None => Ok(None),

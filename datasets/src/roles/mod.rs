@@ -30,6 +30,7 @@ use crate::fault::fault_of;
 use crate::losses::{Loss, Reason};
 use crate::scan::{LogTable, McapTable, RecordTable, RowBuilder};
 use crate::session::{LogPart, Session};
+use cameras::Cameras;
 use mounts::Mounts;
 use robots::RobotOf;
 use rows::{Known, Meant, RoleRows};
@@ -51,6 +52,7 @@ pub(crate) fn table(role: &Role, sessions: &[Session]) -> Result<Arc<dyn TablePr
             names: CameraTopics {
                 topics: topics(cameras::ROLE.name, sessions),
                 parts: parts.clone(),
+                images: cameras::images(sessions),
                 names: OnceCell::new(),
             },
             robots: messages
@@ -157,14 +159,21 @@ struct MessageRole {
 struct CameraTopics {
     topics: Topics,
     parts: Vec<Arc<LogPart>>,
-    names: OnceCell<BTreeMap<Arc<str>, CameraNames>>,
+    /// Which images of their cameras are read.
+    images: Cameras,
+    names: OnceCell<Cameras>,
 }
 
 impl CameraTopics {
     async fn of(&self, session: &str) -> Result<CameraNames, Fault> {
-        let read = || cameras::read(&self.topics, &self.parts);
+        let read = || cameras::read(&self.topics, &self.parts, &self.images);
         let names = self.names.get_or_try_init(read).await?;
         Ok(names.get(session).cloned().unwrap_or_default())
+    }
+
+    /// Without names, for roles that have no images.
+    fn unnamed(&self, session: &str) -> CameraNames {
+        self.images.get(session).cloned().unwrap_or_default()
     }
 }
 
@@ -196,7 +205,7 @@ impl LogTable for MessageRole {
         let known = Known {
             cameras: match self.messages.image {
                 Some(_) => self.names.of(&part.session).await?,
-                None => CameraNames::default(),
+                None => self.names.unnamed(&part.session),
             },
             robot: match &self.robots {
                 Some(robots) => robots.of(&part.session).await?,

@@ -13,7 +13,7 @@ use crate::fault::OrFault;
 use crate::losses::{Loss, Reason};
 use crate::manifest::Vehicle;
 use crate::roles::ahead::batches;
-use crate::roles::rows::Meant;
+use crate::roles::rows::{Known, Meant};
 use crate::session::{LogPart, Session};
 
 /// Messages that are looked at together.
@@ -159,7 +159,7 @@ impl Asked {
     ) -> Result<Robots, Fault> {
         let mut robots = Robots::default();
         for (part, topic) in &self.places {
-            let mut batches = batches::<Motion>(messages, part, topic, AT_ONCE)?;
+            let mut batches = batches::<Motion>(messages, part, topic, Known::default(), AT_ONCE)?;
             while !enough(&robots, self.vehicle.frame())
                 && let Some(batch) = batches.try_next().await.or_fault()?
             {

@@ -1,7 +1,11 @@
 //! Intrinsic calibrations; logs repeat them with every image, the table does not.
+//!
+//! ROS says K and D of the whole sensor (`width` × `height`), R and P of what rectification makes of its image, and which
+//! part of the sensor is read (`roi`, in pixels that are not binned): a row is of that part. Binning makes images smaller
+//! by whole numbers, as who reads images of another size than their calibration has to expect anyway.
 
 use crate::roles::cameras::topic_camera;
-use crate::roles::{FromMessage, Message, Messages, Role};
+use crate::roles::{Fields, FromMessage, Message, Messages, Role};
 use crate::{Stamp, record};
 
 record! {
@@ -48,21 +52,36 @@ impl FromMessage for Calibration {
         "D",
         "k",
         "K",
+        "r",
+        "R",
+        "p",
+        "P",
+        "roi",
     ];
 
     fn from_message(message: &Message<'_>) -> Result<Vec<Self>, String> {
         let fields = &message.fields;
-        let intrinsics = fields.numbers(&["k", "K"]);
-        let distortion = fields.numbers(&["d", "D"]);
-        if intrinsics.iter().chain(&distortion).any(|n| !n.is_finite()) {
-            return Err("expected finite intrinsics".to_owned());
-        }
-        // CameraInfo: "if K[0] is 0, the camera is uncalibrated".
-        if intrinsics.first().is_none_or(|fx| *fx == 0.0) {
+        let size = ["width", "height"].map(|name| pixels(fields, &[name]));
+        let region = region(fields, size)?;
+        let lens = match (message.cameras.calibrates_rectified(message.topic), region) {
+            (true, Some(_)) => {
+                return Err("expected all of the sensor where images are rectified, found a region of interest".to_owned());
+            }
+            (true, None) => rectified(fields).map(Some),
+            (false, _) => as_it_sees(fields),
+        };
+        let Some(mut lens) = lens? else {
             return Ok(Vec::new());
-        }
-        let size = |name: &str| fields.number(&[name]).unwrap_or(0.0) as u32;
-        let model = fields.text(&["distortion_model"]).unwrap_or_default();
+        };
+        let [width, height] = region.map_or(size, |region| {
+            lens.begin_at(region.from);
+            region.size
+        });
+        let Lens {
+            model,
+            intrinsics,
+            distortion,
+        } = lens;
         let frame = message.frame();
         Ok(vec![Self {
             site: message.site.to_owned(),
@@ -72,12 +91,134 @@ impl FromMessage for Calibration {
                 true => topic_camera(message.topic),
                 false => frame,
             },
-            width: size("width"),
-            height: size("height"),
-            model: plain_model(&model),
+            width,
+            height,
+            model,
             intrinsics,
             distortion,
         }])
+    }
+}
+
+/// Where K holds the focal length and the centre along x, and along y: nine entries, row by row, or `fx, cx, fy, cy` and
+/// nothing but zeros behind.
+pub fn axes(k: &[f64]) -> [[usize; 2]; 2] {
+    let full = k.len() == 9 && k[4..].iter().any(|entry| *entry != 0.0);
+    match full {
+        true => [[0, 2], [4, 5]],
+        false => [[0, 1], [2, 3]],
+    }
+}
+
+/// The numbers of a lens.
+struct Lens {
+    model: String,
+    intrinsics: Vec<f64>,
+    distortion: Vec<f64>,
+}
+
+impl Lens {
+    /// Counts pixels from another one.
+    fn begin_at(&mut self, pixel: [u32; 2]) {
+        for ([_, centre], from) in axes(&self.intrinsics).into_iter().zip(pixel) {
+            if let Some(centre) = self.intrinsics.get_mut(centre) {
+                *centre -= f64::from(from);
+            }
+        }
+    }
+}
+
+/// The part of the sensor that images show, in pixels.
+#[derive(Clone, Copy)]
+struct Region {
+    from: [u32; 2],
+    size: [u32; 2],
+}
+
+fn pixels(fields: &Fields<'_>, path: &[&str]) -> u32 {
+    fields.number(path).unwrap_or(0.0) as u32
+}
+
+/// The region of interest; `None` where it is the whole image, or nobody says it.
+fn region(fields: &Fields<'_>, whole: [u32; 2]) -> Result<Option<Region>, String> {
+    let part = |name: &str| pixels(fields, &["roi", name]);
+    let from = ["x_offset", "y_offset"].map(part);
+    let size = ["width", "height"].map(part);
+    if from == [0, 0] && (size == [0, 0] || size == whole) {
+        return Ok(None);
+    }
+    // A calibration that does not say its size is of any.
+    let within = |axis: usize| {
+        let end = from[axis].checked_add(size[axis]);
+        size[axis] > 0 && end.is_some_and(|end| whole[axis] == 0 || end <= whole[axis])
+    };
+    match within(0) && within(1) {
+        true => Ok(Some(Region { from, size })),
+        false => Err(format!(
+            "expected a region of interest within the {} × {} px of the calibration, found {} × {} px from ({}, {}) on",
+            whole[0], whole[1], size[0], size[1], from[0], from[1],
+        )),
+    }
+}
+
+/// The lens of images as it sees them, K and D; `None` where it is not calibrated.
+fn as_it_sees(fields: &Fields<'_>) -> Result<Option<Lens>, String> {
+    let intrinsics = fields.numbers(&["k", "K"]);
+    let distortion = fields.numbers(&["d", "D"]);
+    check_finite(intrinsics.iter().chain(&distortion))?;
+    // CameraInfo: "if K[0] is 0, the camera is uncalibrated".
+    if intrinsics.first().is_none_or(|fx| *fx == 0.0) {
+        return Ok(None);
+    }
+    let model = fields.text(&["distortion_model"]).unwrap_or_default();
+    Ok(Some(Lens {
+        model: plain_model(&model),
+        intrinsics,
+        distortion,
+    }))
+}
+
+/// The lens of rectified images: P without its last column, which says where another camera of a pair is, and no
+/// distortion.
+fn rectified(fields: &Fields<'_>) -> Result<Lens, String> {
+    let p = fields.numbers(&["p", "P"]);
+    let r = fields.numbers(&["r", "R"]);
+    check_finite(p.iter().chain(&r))?;
+    if p.len() != 12 || p[0] == 0.0 {
+        return Err(
+            "expected P, 12 numbers that are not 0, as images are rectified, found none".to_owned(),
+        );
+    }
+    if is_turned(&r) {
+        return Err(
+            "expected rectified images that look as their optical frame does (R is the identity), found others: \
+             choose those that are not rectified by roles.frames in a session manifest"
+                .to_owned(),
+        );
+    }
+    let rows = p.chunks_exact(4).flat_map(|row| &row[..3]);
+    Ok(Lens {
+        model: plain_model(""),
+        intrinsics: rows.copied().collect(),
+        distortion: Vec::new(),
+    })
+}
+
+/// What a number of R may be off from the identity's: less than a hundredth of a pixel, of whatever lens.
+const TURNED: f64 = 1e-6;
+
+/// Whether R turns anything; one of zeros, or none, was not filled in.
+fn is_turned(r: &[f64]) -> bool {
+    let identity = [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0];
+    let off = |(entry, one): (&f64, f64)| (entry - one).abs() > TURNED;
+    let given = r.iter().any(|entry| *entry != 0.0);
+    given && (r.len() != 9 || r.iter().zip(identity).any(off))
+}
+
+fn check_finite<'a>(mut numbers: impl Iterator<Item = &'a f64>) -> Result<(), String> {
+    match numbers.all(|number| number.is_finite()) {
+        true => Ok(()),
+        false => Err("expected finite intrinsics".to_owned()),
     }
 }
 
@@ -89,5 +230,141 @@ fn plain_model(model: &str) -> String {
             "equidistant".to_owned()
         }
         other => other.to_owned(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Arc;
+
+    use arrow::array::{ArrayRef, ListArray, UInt32Array};
+    use arrow::datatypes::Float64Type;
+
+    use super::*;
+    use crate::Stamp;
+    use crate::roles::tests::members;
+    use crate::roles::{CameraNames, OdometryOf};
+
+    fn list(numbers: &[f64]) -> ArrayRef {
+        let items = numbers.iter().copied().map(Some);
+        Arc::new(ListArray::from_iter_primitive::<Float64Type, _, _>([Some(
+            items,
+        )]))
+    }
+
+    fn number(number: u32) -> ArrayRef {
+        Arc::new(UInt32Array::from(vec![number]))
+    }
+
+    const K: [f64; 9] = [128.0, 0.0, 79.5, 0.0, 128.0, 59.5, 0.0, 0.0, 1.0];
+    const P: [f64; 12] = [
+        100.0, 0.0, 80.0, -7.0, 0.0, 100.0, 60.0, 0.0, 0.0, 0.0, 1.0, 0.0,
+    ];
+    const ONE: [f64; 9] = [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0];
+
+    /// What an image of 160 × 120 px is calibrated as, by its K, R, P and region of interest (offsets and size).
+    fn read(
+        k: &[f64],
+        r: &[f64],
+        p: &[f64],
+        roi: [u32; 4],
+        images: &str,
+    ) -> Result<Vec<Calibration>, String> {
+        let names = ["x_offset", "y_offset", "width", "height"];
+        let roi = members(names.into_iter().zip(roi.map(number)).collect());
+        let members = members(vec![
+            ("width", number(160)),
+            ("height", number(120)),
+            ("d", list(&[-0.3, 0.1, 0.0, 0.0, 0.0])),
+            ("k", list(k)),
+            ("r", list(r)),
+            ("p", list(p)),
+            ("roi", Arc::new(roi) as ArrayRef),
+        ]);
+        Calibration::from_message(&Message {
+            site: "lot",
+            session: "a",
+            topic: "/front/camera_info",
+            log_time: Stamp(1),
+            fields: Fields::new(&members, 0),
+            image: None,
+            cameras: &CameraNames::of_images(|_| vec![images]),
+            robot: &OdometryOf::default(),
+        })
+    }
+
+    /// Size, K and number of distortion coefficients.
+    fn lens(
+        found: Result<Vec<Calibration>, String>,
+    ) -> Result<([u32; 2], Vec<f64>, usize), String> {
+        let rows = found?.into_iter();
+        let mut rows = rows.map(|row| {
+            (
+                [row.width, row.height],
+                row.intrinsics,
+                row.distortion.len(),
+            )
+        });
+        rows.next().ok_or_else(|| "no row".to_owned())
+    }
+
+    const RAW: &str = "/front/image_raw";
+    const RECT: &str = "/front/image_rect";
+
+    #[test]
+    fn a_calibration_is_of_the_part_of_the_sensor_that_is_read() {
+        let read = |k: &[f64], roi| lens(read(k, &ONE, &P, roi, RAW));
+        for whole in [[0; 4], [0, 0, 160, 120]] {
+            assert_eq!(read(&K, whole), Ok(([160, 120], K.to_vec(), 5)));
+        }
+        let middle = [128.0, 0.0, 39.5, 0.0, 128.0, 29.5, 0.0, 0.0, 1.0];
+        let part = read(&K, [40, 30, 80, 60]);
+        assert_eq!(part, Ok(([80, 60], middle.to_vec(), 5)));
+        // Of a corner, only the size is another one.
+        let corner = read(&K, [0, 0, 80, 60]);
+        assert_eq!(corner, Ok(([80, 60], K.to_vec(), 5)));
+        let four = read(&[128.0, 79.5, 128.0, 59.5], [40, 30, 80, 60]);
+        assert_eq!(four, Ok(([80, 60], vec![128.0, 39.5, 128.0, 29.5], 5)));
+        for outside in [
+            [81, 0, 80, 60],
+            [0, 0, 80, 121],
+            [40, 30, 0, 0],
+            [u32::MAX, 0, 1, 1],
+        ] {
+            let said = read(&K, outside).err().unwrap_or_default();
+            assert!(said.contains("within the 160 × 120 px"), "{said}");
+        }
+    }
+
+    #[test]
+    fn rectified_images_have_the_lens_of_p_or_none() {
+        let rect = |r: &[f64], p: &[f64], roi| lens(read(&K, r, p, roi, RECT));
+        let k = [100.0, 0.0, 80.0, 0.0, 100.0, 60.0, 0.0, 0.0, 1.0];
+        for r in [&ONE[..], &[0.0; 9], &[]] {
+            assert_eq!(rect(r, &P, [0; 4]), Ok(([160, 120], k.to_vec(), 0)));
+        }
+        let turned = [0.995, 0.0, 0.1, 0.0, 1.0, 0.0, -0.1, 0.0, 0.995];
+        let no_number = [f64::NAN; 12];
+        for (r, p, roi, expected) in [
+            (&ONE[..], &P[..0], [0; 4], "expected P"),
+            (&ONE, &[0.0; 12], [0; 4], "expected P"),
+            (&ONE, &no_number, [0; 4], "finite"),
+            (&turned, &P, [0; 4], "R is the identity"),
+            (&ONE, &P, [40, 30, 80, 60], "region of interest"),
+        ] {
+            let said = rect(r, p, roi).err().unwrap_or_default();
+            assert!(said.contains(expected), "{said}");
+        }
+        // Beside others nobody asks for R and P.
+        let raw = lens(read(&K, &turned, &[], [0; 4], RAW));
+        assert_eq!(raw, Ok(([160, 120], K.to_vec(), 5)));
+    }
+
+    #[test]
+    fn a_camera_without_focal_length_is_not_calibrated() {
+        assert_eq!(
+            read(&[0.0; 9], &ONE, &P, [0; 4], RAW).map(|rows| rows.len()),
+            Ok(0)
+        );
     }
 }

@@ -1,15 +1,54 @@
-//! What cameras are called: the frame of their calibration, if images and calibrations can be told to belong together.
+//! What cameras are called: the frame of their calibration, if images and calibrations can be told to belong together;
+//! and which of their images are read, those of the lens or those that were rectified.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
+
+use crate::roles::{Role, depth_frames, frames, label_frames};
 
 /// The calibrated cameras of one session.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct CameraNames {
     /// Camera by the prefix of its calibration's topic.
     by_prefix: BTreeMap<String, String>,
+    /// The prefixes of which rectified images alone are read.
+    rectified: BTreeSet<String>,
 }
 
 impl CameraNames {
+    /// No names yet, but which images are read, by the topics of each role that has some. Where pictures are read of a
+    /// prefix, they decide.
+    pub fn of_images<'a>(topics: impl Fn(&Role) -> Vec<&'a str>) -> Self {
+        let mut known = BTreeMap::<String, bool>::new();
+        for role in [frames::ROLE, depth_frames::ROLE, label_frames::ROLE] {
+            let mut of_role = BTreeMap::<String, bool>::new();
+            for topic in topics(&role) {
+                *of_role.entry(topic_camera(topic)).or_insert(true) &= is_rectified(topic);
+            }
+            for (prefix, rectified) in of_role {
+                known.entry(prefix).or_insert(rectified);
+            }
+        }
+        let rectified = known.into_iter().filter(|(_, rectified)| *rectified);
+        Self {
+            by_prefix: BTreeMap::new(),
+            rectified: rectified.map(|(prefix, _)| prefix).collect(),
+        }
+    }
+
+    /// Whether a calibration topic is read as that of rectified images: no others of its prefix are read.
+    pub(super) fn calibrates_rectified(&self, topic: &str) -> bool {
+        self.rectified.contains(&topic_camera(topic))
+    }
+
+    /// Whether a camera's calibration is read as that of its rectified images; `None` where it has none, or one of either
+    /// kind.
+    pub(super) fn is_rectified(&self, camera: &str) -> Option<bool> {
+        let of_camera = self.by_prefix.iter().filter(|(_, name)| *name == camera);
+        let mut read = of_camera.map(|(prefix, _)| self.rectified.contains(prefix));
+        let first = read.next()?;
+        read.all(|other| other == first).then_some(first)
+    }
+
     /// Whether the camera of a calibration topic, or of one with the same prefix, is known.
     pub fn knows(&self, topic: &str) -> bool {
         self.by_prefix.contains_key(&topic_camera(topic))
@@ -34,14 +73,14 @@ impl CameraNames {
 /// Last parts of a topic that say what is sent, not who sends it.
 const KINDS: [&str; 14] = [
     "compressed",
+    "compressedDepth",
+    "ffmpeg",
     "compressed_image",
     "image",
     "image_raw",
     "image_raw_compressed",
     "image_color",
     "image_mono",
-    "image_rect",
-    "image_rect_color",
     "camera_info",
     "calibration",
     "raw",
@@ -53,10 +92,23 @@ const KINDS: [&str; 14] = [
 /// is of `front`.
 pub(super) fn topic_camera(topic: &str) -> String {
     let mut parts: Vec<&str> = topic.split('/').filter(|part| !part.is_empty()).collect();
-    while parts.len() > 1 && parts.last().is_some_and(|last| KINDS.contains(last)) {
+    while parts.len() > 1 && parts.last().is_some_and(|last| is_kind(last)) {
         parts.pop();
     }
     parts.join("/")
+}
+
+fn is_kind(part: &str) -> bool {
+    KINDS.contains(&part) || part.starts_with("image") && is_rectified(part)
+}
+
+/// Whether a topic says that its images were rectified, as those of ROS do: `image_rect`, `image_rect_color`.
+pub(super) fn is_rectified(topic: &str) -> bool {
+    let said = |word: &str| {
+        let words = ["rect", "rectified"];
+        words.iter().any(|known| word.eq_ignore_ascii_case(known))
+    };
+    topic.split(['/', '_']).any(said)
 }
 
 #[cfg(test)]
@@ -78,5 +130,51 @@ mod tests {
         );
         assert_eq!(names.name("/left/image_raw", "left_optical"), "left");
         assert_eq!(names.name("/image", ""), "image");
+        assert_eq!(names.name("/left/image_rect_mono/ffmpeg", ""), "left");
+        assert_eq!(names.name("/front_rect/image", ""), "front_rect");
+    }
+
+    #[test]
+    fn a_topic_says_that_its_images_are_rectified_by_a_word_of_its_own() {
+        for topic in [
+            "/l/image_rect",
+            "/l/image_rect_color/compressed",
+            "/rect/l",
+            "/l/Image_Rectified",
+        ] {
+            assert!(is_rectified(topic), "{topic}");
+        }
+        for topic in ["/l/image_raw", "/direct/image", "/l/rectangles"] {
+            assert!(!is_rectified(topic), "{topic}");
+        }
+    }
+
+    #[test]
+    fn calibrations_are_of_the_images_that_are_read_and_pictures_decide() {
+        let topics = |role: &Role| match role.name {
+            "frames" => vec!["/left/image_rect", "/right/image_raw", "/right/image_rect"],
+            "depth_frames" => vec![
+                "/left/depth/image",
+                "/range/image_rect_raw",
+                "/right/depth/image_rect",
+            ],
+            _ => Vec::new(),
+        };
+        let mut names = CameraNames::of_images(topics);
+        let expected = [
+            ("left", true),
+            ("right", false),
+            ("range", true),
+            ("rear", false),
+        ];
+        for (camera, rectified) in expected {
+            let topic = format!("/{camera}/camera_info");
+            assert_eq!(names.calibrates_rectified(&topic), rectified, "{camera}");
+            assert_eq!(names.is_rectified(camera), None);
+            names.add(&topic, camera.to_owned());
+            assert_eq!(names.is_rectified(camera), Some(rectified));
+        }
+        names.add("/rear/camera_info", "left".to_owned());
+        assert_eq!(names.is_rectified("left"), None);
     }
 }

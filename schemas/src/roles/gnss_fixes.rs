@@ -109,19 +109,11 @@ impl FromMessage for GnssFix {
 mod tests {
     use std::sync::Arc;
 
-    use arrow::array::{Array, ArrayRef, Float64Array, Int8Array, StructArray};
-    use arrow::datatypes::Field;
+    use arrow::array::{ArrayRef, Float64Array, Int8Array};
 
     use super::*;
+    use crate::roles::tests::members;
     use crate::roles::{CameraNames, Fields, OdometryOf};
-
-    fn members(named: Vec<(&str, ArrayRef)>) -> StructArray {
-        let member = |(name, array): (&str, ArrayRef)| {
-            let field = Field::new(name, array.data_type().clone(), true);
-            (Arc::new(field), array)
-        };
-        StructArray::from(named.into_iter().map(member).collect::<Vec<_>>())
-    }
 
     /// How many rows a message with this status and latitude gives.
     fn rows(status: Option<i8>, latitude_deg: f64) -> Result<usize, String> {

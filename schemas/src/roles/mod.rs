@@ -48,7 +48,7 @@ roles! {
 
 pub use annotations::{Anchor, Annotation};
 pub use calibration::Calibration;
-pub use frames::{Frame, IMAGE_MEMBER};
+pub use frames::{BIG_ENDIAN, Frame, IMAGE_MEMBER};
 pub use gnss_fixes::GnssFix;
 pub use image_annotations::ImageAnnotation;
 pub use imu::ImuMeasurement;

@@ -167,7 +167,7 @@ pub struct Topic {
     pub name: String,
     /// Its message type: `sensor_msgs/Image`, `foxglove.RawImage`.
     pub message_type: String,
-    /// Number of messages; 0 where it is not known.
+    /// Number of messages: 0 where there are none, and at least 1 where it is not known.
     pub messages: u64,
     /// Whether its schema names no fields.
     pub untyped: bool,
@@ -194,6 +194,8 @@ pub struct Choice {
     pub topic: String,
     /// Topics that another reader might have taken instead.
     pub passed_over: Vec<String>,
+    /// Why they were not, where it is not for their names or numbers of messages.
+    pub why: Option<&'static str>,
 }
 
 impl Choice {
@@ -203,6 +205,7 @@ impl Choice {
         Some(Self {
             topic: names.next()?,
             passed_over: names.collect(),
+            why: None,
         })
     }
 }

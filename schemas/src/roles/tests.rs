@@ -1,6 +1,20 @@
 //! Which topics play which role where nobody says.
 
+use std::sync::Arc;
+
+use arrow::array::{Array, ArrayRef, StructArray};
+use arrow::datatypes::Field;
+
 use super::*;
+
+/// The members of messages, a column each.
+pub(super) fn members(named: Vec<(&str, ArrayRef)>) -> StructArray {
+    let member = |(name, array): (&str, ArrayRef)| {
+        let field = Field::new(name, array.data_type().clone(), true);
+        (Arc::new(field), array)
+    };
+    StructArray::from(named.into_iter().map(member).collect::<Vec<_>>())
+}
 
 /// The topics that are inferred for a role, and those passed over.
 fn inferred(role: &Role, topics: &[(&str, &str, u64)]) -> (Vec<String>, Vec<String>) {
@@ -131,5 +145,72 @@ fn a_compressed_twin_is_preferred() {
     assert_eq!(
         inferred(&depth_frames::ROLE, &depth).0,
         ["/c/depth/compressedDepth"]
+    );
+}
+
+#[test]
+fn a_twin_without_messages_hides_none_and_is_hidden() {
+    let (image, compressed) = ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage");
+    let twins = |plain: u64, twin: u64| {
+        let topics = [
+            ("/c/image", image, plain),
+            ("/c/image/compressed", compressed, twin),
+        ];
+        inferred(&frames::ROLE, &topics).0
+    };
+    assert_eq!(twins(9, 0), ["/c/image"]);
+    for (plain, twin) in [(9, 1), (0, 9), (0, 0)] {
+        assert_eq!(twins(plain, twin), ["/c/image/compressed"]);
+    }
+    let video = "ffmpeg_image_transport_msgs/msg/FFMPEGPacket";
+    let sent = |plain: u64| {
+        let topics = [("/c/image", image, plain), ("/c/image/ffmpeg", video, 9)];
+        inferred(&frames::ROLE, &topics).0
+    };
+    assert_eq!(sent(0), ["/c/image/ffmpeg"]);
+    assert_eq!(sent(1), ["/c/image"]);
+    for (role, name) in [
+        (&depth_frames::ROLE, "/c/depth"),
+        (&label_frames::ROLE, "/c/labels"),
+    ] {
+        let twin = format!("{name}/compressed");
+        let topics = [(name, image, 9), (twin.as_str(), compressed, 0)];
+        assert_eq!(inferred(role, &topics).0, [name]);
+    }
+    let range = [
+        ("/c/depth", image, 0),
+        ("/c/depth/compressedDepth", compressed, 9),
+    ];
+    let (chosen, _) = inferred(&depth_frames::ROLE, &range);
+    assert_eq!(chosen, ["/c/depth/compressedDepth"]);
+}
+
+#[test]
+fn rectified_images_are_read_where_a_camera_has_no_others() {
+    let image = "sensor_msgs/msg/Image";
+    let topics = [
+        ("/left/image_raw", image, 9),
+        ("/left/image_rect", image, 9),
+        ("/left/image_rect_color", image, 9),
+        ("/right/image_rect", image, 9),
+        ("/rear/image_raw", image, 0),
+        ("/rear/image_rect", image, 9),
+    ];
+    let (chosen, passed_over) = inferred(&frames::ROLE, &topics);
+    let expected = [
+        "/left/image_raw",
+        "/rear/image_raw",
+        "/rear/image_rect",
+        "/right/image_rect",
+    ];
+    assert_eq!(chosen, expected);
+    assert_eq!(passed_over, ["/left/image_rect", "/left/image_rect_color"]);
+    let range = [
+        ("/left/depth/image_raw", image, 1),
+        ("/left/depth/image_rect", image, 1),
+    ];
+    assert_eq!(
+        inferred(&depth_frames::ROLE, &range).0,
+        ["/left/depth/image_raw"]
     );
 }

@@ -9,7 +9,7 @@ use evermap_algorithms::geometry::rig::{Rig as MountedCameras, RigCamera};
 use evermap_contract::{Fault, Port, Reach, Reason, Sides};
 use evermap_schemas::Stamp;
 pub(crate) use evermap_schemas::roles::frame_names::plain as frame;
-use evermap_schemas::roles::{Calibration, Transform, frame_names};
+use evermap_schemas::roles::{Calibration, Transform, calibration, frame_names};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -283,13 +283,7 @@ pub(crate) fn camera(
 
 /// Intrinsics of an image scaled by `x` and `y`; the corners of the image stay corners.
 fn scale(k: &mut [f64], x: f64, y: f64) {
-    let full = k.len() == 9 && k[4..].iter().any(|entry| *entry != 0.0);
-    let ([fx, cx], [fy, cy]) = if full {
-        ([0, 2], [4, 5])
-    } else {
-        ([0, 1], [2, 3])
-    };
-    for (focal, centre, factor) in [(fx, cx, x), (fy, cy, y)] {
+    for ([focal, centre], factor) in calibration::axes(k).into_iter().zip([x, y]) {
         if let Some(focal) = k.get_mut(focal) {
             *focal *= factor;
         }
@@ -363,6 +357,34 @@ mod tests {
             assert!(named && reason.contains(expected), "{reason}");
         }
         assert_eq!(reason(128.0, -0.01), None);
+    }
+
+    #[test]
+    fn binned_images_of_a_part_of_a_sensor_have_the_lens_that_it_has() {
+        let part = Calibration {
+            site: String::new(),
+            session: String::new(),
+            stamp: Stamp(0),
+            camera: "front".to_owned(),
+            width: 80,
+            height: 60,
+            model: "plumb_bob".to_owned(),
+            intrinsics: vec![128.0, 0.0, 39.5, 0.0, 120.0, 24.5, 0.0, 0.0, 1.0],
+            distortion: Vec::new(),
+        };
+        let whole = camera(&part, [80, 60]).ok();
+        let binned = camera(&part, [40, 30]).ok();
+        for pixel in [[0.0, 0.0], [79.0, 59.0], [39.5, 24.5]] {
+            let rays = [
+                (&whole, pixel),
+                (&binned, pixel.map(|at| (at + 0.5) / 2.0 - 0.5)),
+            ];
+            let rays = rays.map(|(camera, at)| camera.as_ref()?.unproject(at));
+            let angle = rays[0].zip(rays[1]).map(|(one, other)| one.angle(&other));
+            assert!(angle.is_some_and(|angle| angle < 1e-6), "{angle:?}");
+        }
+        // Along one side alone.
+        assert!(camera(&part, [40, 60]).is_err());
     }
 
     #[test]

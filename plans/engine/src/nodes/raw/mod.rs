@@ -6,6 +6,7 @@ mod yuv;
 use std::borrow::Cow;
 
 use evermap_schemas::ImageRef;
+use evermap_schemas::roles::BIG_ENDIAN;
 use evermap_video::Codec;
 
 use bayer::Mosaic;
@@ -28,7 +29,7 @@ enum Layout {
 fn layout(encoding: &str) -> Option<(Layout, u32)> {
     use Layout::{Bayer, Float, Plain, Yuv};
     let eight = |layout| Some((layout, 255));
-    // Samples of two bytes are little endian; the file wants them big endian.
+    // Samples of two bytes are little endian here; the file wants them big endian.
     let sixteen = |layout| Some((layout, 65_535));
     if let Some((mosaic, bytes)) = Mosaic::named(encoding) {
         return match bytes {
@@ -64,7 +65,9 @@ fn layout(encoding: &str) -> Option<(Layout, u32)> {
 /// # Errors
 /// In words: for an encoding that nobody here reads, or fewer bytes than the size asks for.
 pub fn as_file<'a>(image: &ImageRef, bytes: &'a [u8]) -> Result<Cow<'a, [u8]>, String> {
-    let encoding = image.format.as_str();
+    let format = image.format.as_str();
+    let plain = format.strip_suffix(BIG_ENDIAN);
+    let encoding = plain.unwrap_or(format);
     match encoding {
         "jpeg" | "png" | "compressedDepth 32FC1" => return Ok(bytes.into()),
         "compressedDepth 16UC1" => return Ok(bytes.get(12..).unwrap_or_default().into()),
@@ -93,6 +96,10 @@ pub fn as_file<'a>(image: &ImageRef, bytes: &'a [u8]) -> Result<Cow<'a, [u8]>, S
             bytes.len()
         ));
     }
+    let bytes: Cow<'_, [u8]> = match plain {
+        Some(_) => turned(&bytes[..expected], step, row, sample(&layout, maximum)).into(),
+        None => bytes.into(),
+    };
     let mut file = match &layout {
         // Little endian, which a scale below zero says.
         Layout::Float => format!("Pf\n{width} {height}\n-1.0\n"),
@@ -110,9 +117,9 @@ pub fn as_file<'a>(image: &ImageRef, bytes: &'a [u8]) -> Result<Cow<'a, [u8]>, S
             }
         }
         Layout::Bayer(mosaic, bytes_each) => {
-            mosaic.write(bytes, [width, height], step, bytes_each, &mut file);
+            mosaic.write(&bytes, [width, height], step, bytes_each, &mut file);
         }
-        Layout::Yuv(packing) => packing.write(bytes, [width, height], step, &mut file),
+        Layout::Yuv(packing) => packing.write(&bytes, [width, height], step, &mut file),
         // From the lowest row to the highest.
         Layout::Float => {
             let lines = bytes.chunks(step).take(height).rev();
@@ -120,6 +127,25 @@ pub fn as_file<'a>(image: &ImageRef, bytes: &'a [u8]) -> Result<Cow<'a, [u8]>, S
         }
     }
     Ok(file.into())
+}
+
+/// Bytes of a sample.
+fn sample(layout: &Layout, maximum: u32) -> usize {
+    match layout {
+        Layout::Float => 4,
+        _ if maximum > 255 => 2,
+        _ => 1,
+    }
+}
+
+/// Rows with the bytes of each sample in the other order; what follows a row within its step stays.
+fn turned(bytes: &[u8], step: usize, row: usize, sample: usize) -> Vec<u8> {
+    let mut turned = bytes.to_vec();
+    for line in turned.chunks_mut(step) {
+        let samples = line[..row].chunks_exact_mut(sample);
+        samples.for_each(<[u8]>::reverse);
+    }
+    turned
 }
 
 #[cfg(test)]
@@ -177,6 +203,36 @@ mod tests {
                 image.format
             );
         }
+    }
+
+    #[test]
+    fn samples_that_begin_with_the_highest_byte_make_the_same_files() {
+        for (encoding, sample, width) in [
+            ("mono16", 2, 12),
+            ("16UC1", 2, 12),
+            ("bgr16", 2, 4),
+            ("rgba16", 2, 3),
+            ("bayer_grbg16", 2, 12),
+            ("32FC1", 4, 6),
+            ("mono8", 1, 24),
+        ] {
+            // Rows of 24 bytes and 5 of padding, which no sample reaches into.
+            let little: Vec<u8> = (0..58).map(|byte| byte * 4 + 1).collect();
+            let mut big = little.clone();
+            for line in big.chunks_mut(29) {
+                for sample in line[..24].chunks_mut(sample) {
+                    sample.reverse();
+                }
+            }
+            let image = raw(encoding, width, 2, 29);
+            let expected = as_file(&image, &little).unwrap();
+            let told = raw(&format!("{encoding}{BIG_ENDIAN}"), width, 2, 29);
+            assert_eq!(as_file(&told, &big).unwrap(), expected, "{encoding}");
+            let untold = as_file(&image, &big).unwrap();
+            assert_eq!(untold == expected, sample == 1, "{encoding}");
+        }
+        let unread = as_file(&raw("64FC1 big-endian", 1, 1, 8), &[0; 8]).unwrap_err();
+        assert!(unread.contains("\"64FC1\""), "{unread}");
     }
 
     #[test]
