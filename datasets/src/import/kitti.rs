@@ -14,14 +14,14 @@ use crate::import::{Imported, read};
 const CAMERA_HEIGHT_M: f64 = 1.65;
 
 /// A sequence: images of the left grey camera, times and poses, each in the benchmark's own format. Image `000123.png`
-/// belongs to line 124 of times and poses, so a sequence may lack images.
+/// belongs to the 124th time and pose, so a sequence may lack images.
 ///
 /// The vehicle's frame is on the road below the camera, x forward, z up; the odometry frame is where it starts.
 #[derive(Debug, Clone, Default)]
 pub struct Kitti {
     /// Poses of the camera in its first frame, twelve numbers per line; none leaves odometry out.
     pub poses: Option<PathBuf>,
-    /// Stamps, s, one per line; without, ten per second.
+    /// Stamps, s, one per line, no two equal; without, ten per second.
     pub times: Option<PathBuf>,
     /// Folder of images; none leaves frames out.
     pub images: Option<PathBuf>,

@@ -15,12 +15,16 @@
 //! vehicle_from_reference:                # identity if not given
 //!   matrix: [[0, -1, 0, 0], [-1, 0, 0, 0], [0, 0, -1, 6.25], [0, 0, 0, 1]]
 //! poses: { file: poses.txt, format: tum } # odom_from_vehicle; the vehicle stands still if not given
-//! times: times.txt                       # one stamp per image, s; else `rate_hz`
+//! times: times.txt                       # one stamp per image, s, each of its own; else `rate_hz`
 //! rate_hz: 10
 //! ```
 //!
 //! Label images belong to the images whose file stems they have; where stems differ, to the images in order, and then
 //! there is one for each. A value whose name is empty, or beyond the list, has no class.
+//!
+//! Stamps and poses without stamps belong to the images in order, and need not rise: where cameras differ in how many
+//! images they have, poses to those of the camera with most. In both files, empty lines and those that begin with `#`
+//! are skipped.
 //!
 //! Written are, per camera, `/NAME/image/compressed`, `/NAME/camera_info` and `/NAME/labels`, for the vehicle
 //! `/tf_static` and `/odom`, and the metadata record `label_classes`. What a camera lacks (calibration, place, labels)
@@ -68,7 +72,7 @@ pub struct ImageImport {
     /// Trajectory of the vehicle in the odometry frame.
     #[serde(default)]
     pub poses: Option<PoseFile>,
-    /// File with one stamp per line, s, for the images of every camera.
+    /// File with one stamp per line, s, for the images of every camera in order; no two are equal.
     #[serde(default)]
     pub times: Option<PathBuf>,
     /// Images per second where there are no stamps.
@@ -176,24 +180,19 @@ impl ImageImport {
             let loaded = self.camera(camera, &vehicle_from_reference);
             cameras.push(loaded.map_err(|fault| fault.at(format!("camera {}", camera.name)))?);
         }
-        let mut poses = match &self.poses {
-            Some(file) => poses::read_file(&self.folder.join(&file.file), file.format)?,
-            None => Vec::new(),
-        };
-        let mut stamps: Vec<u64> = cameras
-            .iter()
-            .flat_map(|camera| camera.images.iter().map(|(stamp, _)| *stamp))
-            .collect();
-        stamps.sort_unstable();
-        stamps.dedup();
-        if self.poses.is_none() {
-            poses = stamps
-                .iter()
-                .map(|stamp| (Some(*stamp), Isometry3::identity()))
-                .collect();
-        }
-        let poses = poses::stamped(poses, &stamps)?;
+        let poses = self.odom_from_vehicle(&image_stamps(&cameras))?;
         log::write(out, &cameras, &poses, &self.classes()?)
+    }
+
+    /// Poses with their stamps, ns: those of the file, or a vehicle that stands still at the images.
+    fn odom_from_vehicle(&self, stamps: &[u64]) -> Result<Vec<(u64, Isometry3<f64>)>, Fault> {
+        let Some(file) = &self.poses else {
+            let still = |stamp: &u64| (*stamp, Isometry3::identity());
+            return Ok(stamps.iter().map(still).collect());
+        };
+        let path = self.folder.join(&file.file);
+        let poses = poses::read_file(&path, file.format)?;
+        poses::stamped(poses, stamps).map_err(|fault| fault.at(path.display()))
     }
 
     /// The classes that the cameras give.
@@ -314,6 +313,14 @@ impl ImageImport {
     }
 }
 
+/// Stamps of the images, ns, in the order of the images, which is not always that of time: those of the camera that has
+/// most images. Cameras with fewer images share the first of them.
+fn image_stamps(cameras: &[log::Camera]) -> Vec<u64> {
+    let most = cameras.iter().max_by_key(|camera| camera.images.len());
+    let images = most.into_iter().flat_map(|camera| &camera.images);
+    images.map(|(stamp, _)| *stamp).collect()
+}
+
 impl Placement {
     fn read(&self, folder: &Path) -> Result<Isometry3<f64>, Fault> {
         let mut transform = match (&self.file, &self.matrix, &self.pose) {
@@ -372,7 +379,13 @@ fn rigid(matrix: &Matrix4<f64>) -> Result<Isometry3<f64>, Fault> {
     ))
 }
 
+/// The text of a file, without the byte order mark that some editors begin it with.
 fn read(path: &Path) -> Result<String, Fault> {
-    std::fs::read_to_string(path)
-        .map_err(|error| Fault::user(format!("expected a file, found {error}")).at(path.display()))
+    let text = std::fs::read_to_string(path).map_err(|error| {
+        Fault::user(format!("expected a file, found {error}")).at(path.display())
+    })?;
+    Ok(match text.strip_prefix('\u{feff}') {
+        Some(text) => text.to_owned(),
+        None => text,
+    })
 }
