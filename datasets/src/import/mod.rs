@@ -34,16 +34,18 @@ mod calibration;
 mod kitti;
 mod labels;
 mod log;
+mod placement;
 mod poses;
 
 use std::path::{Path, PathBuf};
 
 use evermap_schemas::Fault;
-use nalgebra::{Isometry3, Matrix4, Quaternion, Translation3, UnitQuaternion};
+use nalgebra::Isometry3;
 use serde::Deserialize;
 
 pub use kitti::Kitti;
 pub use labels::ClassNames;
+pub use placement::Placement;
 pub use poses::PoseFormat;
 
 use crate::yaml::from_yaml;
@@ -123,20 +125,6 @@ pub struct CameraImport {
     pub classes: Option<ClassNames>,
 }
 
-/// A rigid transform, in one of three spellings.
-#[derive(Debug, Clone, Default, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct Placement {
-    /// A SensorsCalibration JSON file (`sensor_calib.data`, 4 by 4).
-    pub file: Option<PathBuf>,
-    /// 4 by 4, rows.
-    pub matrix: Option<Vec<Vec<f64>>>,
-    /// `[x, y, z, qx, qy, qz, qw]`, m.
-    pub pose: Option<[f64; 7]>,
-    /// Factor of the translation, for calibrations in units of their own.
-    pub scale: Option<f64>,
-}
-
 /// A file of poses.
 #[derive(Debug, Clone, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -172,7 +160,9 @@ impl ImageImport {
     /// A user fault when something is missing or contradicts itself, a resource fault when `out` cannot be written.
     pub fn write(&self, out: &Path) -> Result<Imported, Fault> {
         let vehicle_from_reference = match &self.vehicle_from_reference {
-            Some(placement) => placement.read(&self.folder)?,
+            Some(placement) => placement
+                .read(&self.folder)
+                .map_err(|fault| fault.at("vehicle_from_reference"))?,
             None => Isometry3::identity(),
         };
         let mut cameras = Vec::new();
@@ -319,64 +309,6 @@ fn image_stamps(cameras: &[log::Camera]) -> Vec<u64> {
     let most = cameras.iter().max_by_key(|camera| camera.images.len());
     let images = most.into_iter().flat_map(|camera| &camera.images);
     images.map(|(stamp, _)| *stamp).collect()
-}
-
-impl Placement {
-    fn read(&self, folder: &Path) -> Result<Isometry3<f64>, Fault> {
-        let mut transform = match (&self.file, &self.matrix, &self.pose) {
-            (Some(file), None, None) => rigid(&calibration::extrinsic(&folder.join(file))?)?,
-            (None, Some(rows), None) => rigid(&matrix(rows)?)?,
-            (None, None, Some(pose)) => from_pose(pose)?,
-            _ => return Err(Fault::user("expected one of file, matrix and pose")),
-        };
-        transform.translation.vector *= self.scale.unwrap_or(1.0);
-        Ok(transform)
-    }
-}
-
-/// The transform of `[x, y, z, qx, qy, qz, qw]`.
-fn from_pose([x, y, z, qx, qy, qz, qw]: &[f64; 7]) -> Result<Isometry3<f64>, Fault> {
-    let rotation = Quaternion::new(*qw, *qx, *qy, *qz);
-    if rotation.norm() < 1e-6 {
-        return Err(Fault::user(
-            "expected a rotation, found a quaternion of length 0",
-        ));
-    }
-    let rotation = UnitQuaternion::from_quaternion(rotation);
-    Ok(Isometry3::from_parts(
-        Translation3::new(*x, *y, *z),
-        rotation,
-    ))
-}
-
-/// A 4 by 4 matrix from its rows.
-fn matrix(rows: &[Vec<f64>]) -> Result<Matrix4<f64>, Fault> {
-    let numbers: Vec<f64> = rows.iter().flatten().copied().collect();
-    if rows.len() != 4 || numbers.len() != 16 || rows.iter().any(|row| row.len() != 4) {
-        return Err(Fault::user("expected a matrix of 4 rows of 4 numbers"));
-    }
-    Ok(Matrix4::from_row_slice(&numbers))
-}
-
-/// The rigid transform of a matrix whose rotation was written with a few digits: the nearest rotation is taken.
-fn rigid(matrix: &Matrix4<f64>) -> Result<Isometry3<f64>, Fault> {
-    let given = matrix.fixed_view::<3, 3>(0, 0).into_owned();
-    let error = (given * given.transpose() - nalgebra::Matrix3::identity()).amax();
-    if !(error < 1e-2 && given.determinant() > 0.0) {
-        return Err(Fault::user(
-            "expected a rotation in the upper left of the matrix",
-        ));
-    }
-    let svd = given.svd(true, true);
-    let (Some(u), Some(v)) = (svd.u, svd.v_t) else {
-        return Err(Fault::bug("a decomposition without factors"));
-    };
-    let rotation = nalgebra::Rotation3::from_matrix_unchecked(u * v);
-    let translation = matrix.fixed_view::<3, 1>(0, 3).into_owned();
-    Ok(Isometry3::from_parts(
-        translation.into(),
-        UnitQuaternion::from_rotation_matrix(&rotation),
-    ))
 }
 
 /// The text of a file, without the byte order mark that some editors begin it with.

@@ -7,7 +7,8 @@ use evermap_schemas::Fault;
 use nalgebra::{Isometry3, Matrix4};
 use serde::Deserialize;
 
-use crate::import::{from_pose, read, rigid};
+use crate::import::placement::{from_pose, rigid};
+use crate::import::read;
 
 /// Format of a file of poses, one per line.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]

@@ -208,6 +208,29 @@ fn times_that_are_none_or_come_twice_are_refused_with_their_line() {
 }
 
 #[test]
+fn a_matrix_that_is_written_column_by_column_is_refused() {
+    let columns = "[[0, 0, 1, 0], [-1, 0, 0, 0], [0, -1, 0, 0], [1.5, 0, 1.2, 1]]";
+    let camera = format!(
+        "cameras: [{{name: front, images: ['*.png'], vehicle_from_camera: {{matrix: {columns}}}}}]"
+    );
+    is_refused(
+        &camera,
+        &[],
+        &["1.5, 0, 1.2, 1", "camera front", "transpose"],
+    );
+    let vehicle = format!("{FRONT}vehicle_from_reference: {{matrix: {columns}}}\n");
+    is_refused(&vehicle, &[], &["1.5, 0, 1.2, 1", "vehicle_from_reference"]);
+    let file = format!(r#"{{"front": {{"param": {{"sensor_calib": {{"data": {columns}}}}}}}}}"#);
+    let camera =
+        "cameras: [{name: front, images: ['*.png'], camera_from_reference: {file: front.json}}]";
+    is_refused(
+        camera,
+        &[("front.json", file.as_str())],
+        &["1.5, 0, 1.2, 1", "front.json"],
+    );
+}
+
+#[test]
 fn a_description_that_is_wrong_is_refused_with_its_place() {
     let scratch = tempfile::tempdir().unwrap();
     let path = scratch.path().join("wrong.yaml");
