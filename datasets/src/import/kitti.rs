@@ -6,7 +6,7 @@ use evermap_schemas::Fault;
 use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3, UnitQuaternion};
 
 use crate::import::calibration::Intrinsics;
-use crate::import::log::{self, Camera, image_size};
+use crate::import::log::{self, Camera};
 use crate::import::poses::{self, PoseFormat};
 use crate::import::{Imported, read};
 
@@ -70,10 +70,7 @@ impl Kitti {
     }
 
     fn camera(&self, images: Vec<(u64, PathBuf)>) -> Result<Camera, Fault> {
-        let (_, first) = images
-            .first()
-            .ok_or_else(|| Fault::user("expected images, found none"))?;
-        let (_, (width, height)) = image_size(first)?;
+        let (width, height) = log::common_size(images.iter().map(|(_, image)| image))?;
         let path = self.calibration.as_ref();
         let path = path.ok_or_else(|| Fault::user("expected a calibration for the images"))?;
         let k = camera_matrix(&read(path)?).map_err(|fault| fault.at(path.display()))?;

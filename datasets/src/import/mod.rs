@@ -28,7 +28,8 @@
 //!
 //! Written are, per camera, `/NAME/image/compressed`, `/NAME/camera_info` and `/NAME/labels`, for the vehicle
 //! `/tf_static` and `/odom`, and the metadata record `label_classes`. What a camera lacks (calibration, place, labels)
-//! is left out. Frames are those of REP-103: the vehicle's x forward, y left, z up; the camera's x right, y down, z forward.
+//! is left out. All images of a camera have one size. Frames are those of REP-103: the vehicle's x forward, y left, z
+//! up; the camera's x right, y down, z forward.
 
 mod calibration;
 mod kitti;
@@ -37,6 +38,7 @@ mod log;
 mod placement;
 mod poses;
 
+use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
 use evermap_schemas::Fault;
@@ -95,9 +97,9 @@ fn default_rate_hz() -> f64 {
 #[derive(Debug, Clone, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct CameraImport {
-    /// Name; also that of the optical frame.
+    /// Name; also that of the optical frame. No two cameras have the same.
     pub name: String,
-    /// PNG or JPEG files, or globs.
+    /// PNG or JPEG files, or globs; all of one size.
     pub images: Vec<String>,
     /// Intrinsic calibration in a SensorsCalibration JSON file (`cam_K`, `cam_dist`).
     #[serde(default)]
@@ -159,6 +161,7 @@ impl ImageImport {
     /// # Errors
     /// A user fault when something is missing or contradicts itself, a resource fault when `out` cannot be written.
     pub fn write(&self, out: &Path) -> Result<Imported, Fault> {
+        self.check_names()?;
         let vehicle_from_reference = match &self.vehicle_from_reference {
             Some(placement) => placement
                 .read(&self.folder)
@@ -172,6 +175,19 @@ impl ImageImport {
         }
         let poses = self.odom_from_vehicle(&image_stamps(&cameras))?;
         log::write(out, &cameras, &poses, &self.classes()?)
+    }
+
+    /// That each camera has a name of its own, as its topics and its frame have that name.
+    fn check_names(&self) -> Result<(), Fault> {
+        let mut seen = BTreeSet::new();
+        let mut cameras = self.cameras.iter();
+        match cameras.find(|camera| !seen.insert(&camera.name)) {
+            None => Ok(()),
+            Some(camera) => Err(Fault::user(format!(
+                "expected a name of its own for each camera, found two called {}",
+                camera.name
+            ))),
+        }
     }
 
     /// Poses with their stamps, ns: those of the file, or a vehicle that stands still at the images.
@@ -211,11 +227,8 @@ impl ImageImport {
         vehicle_from_reference: &Isometry3<f64>,
     ) -> Result<log::Camera, Fault> {
         let files = self.files(&camera.images)?;
-        let first = files
-            .first()
-            .ok_or_else(|| Fault::user("expected at least one image, found none"))?;
         let stamps = self.stamps(files.len())?;
-        let (_, (width, height)) = log::image_size(first)?;
+        let (width, height) = log::common_size(&files)?;
         let intrinsics = match (&camera.calibration, &camera.intrinsics) {
             (Some(file), None) => Some(Intrinsics::read(
                 &self.folder.join(file),

@@ -35,9 +35,13 @@ fn each_line<T>(
     found.collect()
 }
 
-/// Reads a file of poses, one per line.
+/// Reads a file of poses, at least one, one per line.
 pub(super) fn read_file(path: &Path, format: PoseFormat) -> Result<Vec<Posed>, Fault> {
     let poses = each_line(&read(path)?, |line| pose(line, format));
+    let poses = poses.and_then(|poses| match poses.is_empty() {
+        true => Err(Fault::user("expected a pose per line, found none")),
+        false => Ok(poses),
+    });
     poses.map_err(|fault| fault.at(path.display()))
 }
 

@@ -231,6 +231,63 @@ fn a_matrix_that_is_written_column_by_column_is_refused() {
 }
 
 #[test]
+fn images_of_several_sizes_are_refused_and_the_other_one_is_named() {
+    let scratch = tempfile::tempdir().unwrap();
+    std::fs::write(scratch.path().join("4.png"), png_head(3, 4)).unwrap();
+    let calibrated =
+        "cameras: [{name: front, images: ['*.png'], intrinsics: [30, 0, 2, 0, 30, 1, 0, 0, 1]}]";
+    let fault = import(scratch.path(), calibrated, &[])
+        .unwrap_err()
+        .to_string();
+    for said in ["4 x 3", "found 3 x 4", "camera front", "4.png"] {
+        assert!(fault.contains(said), "{said}: {fault}");
+    }
+    assert!(!scratch.path().join("out.mcap").exists());
+}
+
+#[test]
+fn images_of_several_sizes_are_refused_of_a_kitti_sequence_too() {
+    let scratch = tempfile::tempdir().unwrap();
+    let images = scratch.path().join("image_0");
+    std::fs::create_dir(&images).unwrap();
+    std::fs::write(images.join("000000.png"), png_head(4, 3)).unwrap();
+    std::fs::write(images.join("000001.png"), png_head(3, 4)).unwrap();
+    let calibration = scratch.path().join("K.txt");
+    std::fs::write(&calibration, "30 0 2\n0 30 1\n0 0 1\n").unwrap();
+    let kitti = Kitti {
+        images: Some(images),
+        calibration: Some(calibration),
+        ..Kitti::default()
+    };
+    let fault = kitti.write(&scratch.path().join("out.mcap")).unwrap_err();
+    let fault = fault.to_string();
+    assert!(
+        fault.contains("found 3 x 4") && fault.contains("000001.png"),
+        "{fault}"
+    );
+}
+
+#[test]
+fn two_cameras_of_one_name_are_refused() {
+    let twins = "cameras: [{name: front, images: [1.png]}, {name: front, images: [2.png]}]";
+    is_refused(twins, &[], &["two called front"]);
+}
+
+#[test]
+fn a_file_of_poses_without_any_is_refused() {
+    for format in ["tum", "kitti"] {
+        let described = format!("{FRONT}poses: {{file: poses.txt, format: {format}}}\n");
+        for text in ["", "# stamp x y z\n\n"] {
+            is_refused(
+                &described,
+                &[("poses.txt", text)],
+                &["found none", "poses.txt"],
+            );
+        }
+    }
+}
+
+#[test]
 fn a_description_that_is_wrong_is_refused_with_its_place() {
     let scratch = tempfile::tempdir().unwrap();
     let path = scratch.path().join("wrong.yaml");
