@@ -274,17 +274,18 @@ impl ImageImport {
         })
     }
 
+    /// The files of these names or patterns. What the folder is called is no pattern.
     fn files(&self, names: &[String]) -> Result<Vec<PathBuf>, Fault> {
+        let folder = PathBuf::from(glob::Pattern::escape(&self.folder.to_string_lossy()));
         let mut files = Vec::new();
         for name in names {
-            let path = self.folder.join(name);
-            let pattern = path.to_string_lossy();
-            let found = glob::glob(&pattern)
-                .map_err(|error| Fault::user(format!("the pattern {pattern}: {error}")))?;
+            let found = glob::glob(&folder.join(name).to_string_lossy())
+                .map_err(|error| Fault::user(format!("the pattern {name}: {}", error.msg)))?;
             let mut found: Vec<PathBuf> = found.filter_map(Result::ok).collect();
             if found.is_empty() {
                 return Err(Fault::user(format!(
-                    "expected images, found none at {pattern}"
+                    "expected images, found none at {}",
+                    self.folder.join(name).display()
                 )));
             }
             found.sort_by_key(|path| crate::stores::natural_key(&path.to_string_lossy()));

@@ -268,6 +268,19 @@ fn images_of_several_sizes_are_refused_of_a_kitti_sequence_too() {
 }
 
 #[test]
+fn what_a_folder_is_called_is_no_pattern() {
+    let scratch = tempfile::tempdir().unwrap();
+    let folder = scratch.path().join("run[1] *?]");
+    std::fs::create_dir(&folder).unwrap();
+    let imported = import(&folder, FRONT, &[]).unwrap();
+    assert_eq!(imported.images, 3);
+    let missing = "cameras: [{name: front, images: ['*.jpg']}]";
+    let fault = import(&folder, missing, &[]).unwrap_err().to_string();
+    let said = folder.join("*.jpg").display().to_string();
+    assert!(fault.contains(&said), "{fault}");
+}
+
+#[test]
 fn two_cameras_of_one_name_are_refused() {
     let twins = "cameras: [{name: front, images: [1.png]}, {name: front, images: [2.png]}]";
     is_refused(twins, &[], &["two called front"]);
