@@ -7,7 +7,8 @@ use evermap_schemas::Fault;
 use nalgebra::Matrix4;
 use serde_json::Value;
 
-use crate::import::{matrix, read};
+use crate::import::placement::matrix;
+use crate::import::read;
 
 /// What a `CameraInfo` says of a lens.
 #[derive(Debug, Clone, PartialEq)]

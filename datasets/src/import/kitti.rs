@@ -6,7 +6,7 @@ use evermap_schemas::Fault;
 use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3, UnitQuaternion};
 
 use crate::import::calibration::Intrinsics;
-use crate::import::log::{self, Camera, image_size};
+use crate::import::log::{self, Camera};
 use crate::import::poses::{self, PoseFormat};
 use crate::import::{Imported, read};
 
@@ -14,14 +14,14 @@ use crate::import::{Imported, read};
 const CAMERA_HEIGHT_M: f64 = 1.65;
 
 /// A sequence: images of the left grey camera, times and poses, each in the benchmark's own format. Image `000123.png`
-/// belongs to line 124 of times and poses, so a sequence may lack images.
+/// belongs to the 124th time and pose, so a sequence may lack images.
 ///
 /// The vehicle's frame is on the road below the camera, x forward, z up; the odometry frame is where it starts.
 #[derive(Debug, Clone, Default)]
 pub struct Kitti {
     /// Poses of the camera in its first frame, twelve numbers per line; none leaves odometry out.
     pub poses: Option<PathBuf>,
-    /// Stamps, s, one per line; without, ten per second.
+    /// Stamps, s, one per line, no two equal; without, ten per second.
     pub times: Option<PathBuf>,
     /// Folder of images; none leaves frames out.
     pub images: Option<PathBuf>,
@@ -70,10 +70,7 @@ impl Kitti {
     }
 
     fn camera(&self, images: Vec<(u64, PathBuf)>) -> Result<Camera, Fault> {
-        let (_, first) = images
-            .first()
-            .ok_or_else(|| Fault::user("expected images, found none"))?;
-        let (_, (width, height)) = image_size(first)?;
+        let (width, height) = log::common_size(images.iter().map(|(_, image)| image))?;
         let path = self.calibration.as_ref();
         let path = path.ok_or_else(|| Fault::user("expected a calibration for the images"))?;
         let k = camera_matrix(&read(path)?).map_err(|fault| fault.at(path.display()))?;

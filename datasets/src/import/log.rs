@@ -212,6 +212,29 @@ fn encoded(path: &Path) -> Result<(&'static str, Vec<u8>), Fault> {
     Ok((format, bytes))
 }
 
+/// Width and height of a camera's images, from their heads: all have those of the first, as its calibration is for one.
+pub(super) fn common_size<'a>(
+    images: impl IntoIterator<Item = &'a PathBuf>,
+) -> Result<(u32, u32), Fault> {
+    let mut images = images.into_iter();
+    let first = images
+        .next()
+        .ok_or_else(|| Fault::user("expected at least one image, found none"))?;
+    let (_, (width, height)) = image_size(first)?;
+    for image in images {
+        let (_, found) = image_size(image)?;
+        if found != (width, height) {
+            return Err(Fault::user(format!(
+                "expected an image of {width} x {height} like the camera's first, found {} x {}",
+                found.0, found.1
+            ))
+            .at(image.display())
+            .next("bring the images to one size, or give each size a camera of its own"));
+        }
+    }
+    Ok((width, height))
+}
+
 /// Format, width and height, from the image's head; no more of it is read.
 pub(super) fn image_size(path: &Path) -> Result<(&'static str, (u32, u32)), Fault> {
     let file = File::open(path).map_err(|error| unread(path, &error))?;

@@ -15,31 +15,39 @@
 //! vehicle_from_reference:                # identity if not given
 //!   matrix: [[0, -1, 0, 0], [-1, 0, 0, 0], [0, 0, -1, 6.25], [0, 0, 0, 1]]
 //! poses: { file: poses.txt, format: tum } # odom_from_vehicle; the vehicle stands still if not given
-//! times: times.txt                       # one stamp per image, s; else `rate_hz`
+//! times: times.txt                       # one stamp per image, s, each of its own; else `rate_hz`
 //! rate_hz: 10
 //! ```
 //!
 //! Label images belong to the images whose file stems they have; where stems differ, to the images in order, and then
 //! there is one for each. A value whose name is empty, or beyond the list, has no class.
 //!
+//! Stamps and poses without stamps belong to the images in order, and need not rise: where cameras differ in how many
+//! images they have, poses to those of the camera with most. In both files, empty lines and those that begin with `#`
+//! are skipped.
+//!
 //! Written are, per camera, `/NAME/image/compressed`, `/NAME/camera_info` and `/NAME/labels`, for the vehicle
 //! `/tf_static` and `/odom`, and the metadata record `label_classes`. What a camera lacks (calibration, place, labels)
-//! is left out. Frames are those of REP-103: the vehicle's x forward, y left, z up; the camera's x right, y down, z forward.
+//! is left out. All images of a camera have one size. Frames are those of REP-103: the vehicle's x forward, y left, z
+//! up; the camera's x right, y down, z forward.
 
 mod calibration;
 mod kitti;
 mod labels;
 mod log;
+mod placement;
 mod poses;
 
+use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
 use evermap_schemas::Fault;
-use nalgebra::{Isometry3, Matrix4, Quaternion, Translation3, UnitQuaternion};
+use nalgebra::Isometry3;
 use serde::Deserialize;
 
 pub use kitti::Kitti;
 pub use labels::ClassNames;
+pub use placement::Placement;
 pub use poses::PoseFormat;
 
 use crate::yaml::from_yaml;
@@ -68,7 +76,7 @@ pub struct ImageImport {
     /// Trajectory of the vehicle in the odometry frame.
     #[serde(default)]
     pub poses: Option<PoseFile>,
-    /// File with one stamp per line, s, for the images of every camera.
+    /// File with one stamp per line, s, for the images of every camera in order; no two are equal.
     #[serde(default)]
     pub times: Option<PathBuf>,
     /// Images per second where there are no stamps.
@@ -89,9 +97,9 @@ fn default_rate_hz() -> f64 {
 #[derive(Debug, Clone, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct CameraImport {
-    /// Name; also that of the optical frame.
+    /// Name; also that of the optical frame. No two cameras have the same.
     pub name: String,
-    /// PNG or JPEG files, or globs.
+    /// PNG or JPEG files, or globs; all of one size.
     pub images: Vec<String>,
     /// Intrinsic calibration in a SensorsCalibration JSON file (`cam_K`, `cam_dist`).
     #[serde(default)]
@@ -117,20 +125,6 @@ pub struct CameraImport {
     /// Names of the classes by pixel value; the same for all cameras that give them.
     #[serde(default)]
     pub classes: Option<ClassNames>,
-}
-
-/// A rigid transform, in one of three spellings.
-#[derive(Debug, Clone, Default, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct Placement {
-    /// A SensorsCalibration JSON file (`sensor_calib.data`, 4 by 4).
-    pub file: Option<PathBuf>,
-    /// 4 by 4, rows.
-    pub matrix: Option<Vec<Vec<f64>>>,
-    /// `[x, y, z, qx, qy, qz, qw]`, m.
-    pub pose: Option<[f64; 7]>,
-    /// Factor of the translation, for calibrations in units of their own.
-    pub scale: Option<f64>,
 }
 
 /// A file of poses.
@@ -167,8 +161,11 @@ impl ImageImport {
     /// # Errors
     /// A user fault when something is missing or contradicts itself, a resource fault when `out` cannot be written.
     pub fn write(&self, out: &Path) -> Result<Imported, Fault> {
+        self.check_names()?;
         let vehicle_from_reference = match &self.vehicle_from_reference {
-            Some(placement) => placement.read(&self.folder)?,
+            Some(placement) => placement
+                .read(&self.folder)
+                .map_err(|fault| fault.at("vehicle_from_reference"))?,
             None => Isometry3::identity(),
         };
         let mut cameras = Vec::new();
@@ -176,24 +173,32 @@ impl ImageImport {
             let loaded = self.camera(camera, &vehicle_from_reference);
             cameras.push(loaded.map_err(|fault| fault.at(format!("camera {}", camera.name)))?);
         }
-        let mut poses = match &self.poses {
-            Some(file) => poses::read_file(&self.folder.join(&file.file), file.format)?,
-            None => Vec::new(),
-        };
-        let mut stamps: Vec<u64> = cameras
-            .iter()
-            .flat_map(|camera| camera.images.iter().map(|(stamp, _)| *stamp))
-            .collect();
-        stamps.sort_unstable();
-        stamps.dedup();
-        if self.poses.is_none() {
-            poses = stamps
-                .iter()
-                .map(|stamp| (Some(*stamp), Isometry3::identity()))
-                .collect();
-        }
-        let poses = poses::stamped(poses, &stamps)?;
+        let poses = self.odom_from_vehicle(&image_stamps(&cameras))?;
         log::write(out, &cameras, &poses, &self.classes()?)
+    }
+
+    /// That each camera has a name of its own, as its topics and its frame have that name.
+    fn check_names(&self) -> Result<(), Fault> {
+        let mut seen = BTreeSet::new();
+        let mut cameras = self.cameras.iter();
+        match cameras.find(|camera| !seen.insert(&camera.name)) {
+            None => Ok(()),
+            Some(camera) => Err(Fault::user(format!(
+                "expected a name of its own for each camera, found two called {}",
+                camera.name
+            ))),
+        }
+    }
+
+    /// Poses with their stamps, ns: those of the file, or a vehicle that stands still at the images.
+    fn odom_from_vehicle(&self, stamps: &[u64]) -> Result<Vec<(u64, Isometry3<f64>)>, Fault> {
+        let Some(file) = &self.poses else {
+            let still = |stamp: &u64| (*stamp, Isometry3::identity());
+            return Ok(stamps.iter().map(still).collect());
+        };
+        let path = self.folder.join(&file.file);
+        let poses = poses::read_file(&path, file.format)?;
+        poses::stamped(poses, stamps).map_err(|fault| fault.at(path.display()))
     }
 
     /// The classes that the cameras give.
@@ -222,11 +227,8 @@ impl ImageImport {
         vehicle_from_reference: &Isometry3<f64>,
     ) -> Result<log::Camera, Fault> {
         let files = self.files(&camera.images)?;
-        let first = files
-            .first()
-            .ok_or_else(|| Fault::user("expected at least one image, found none"))?;
         let stamps = self.stamps(files.len())?;
-        let (_, (width, height)) = log::image_size(first)?;
+        let (width, height) = log::common_size(&files)?;
         let intrinsics = match (&camera.calibration, &camera.intrinsics) {
             (Some(file), None) => Some(Intrinsics::read(
                 &self.folder.join(file),
@@ -272,17 +274,18 @@ impl ImageImport {
         })
     }
 
+    /// The files of these names or patterns. What the folder is called is no pattern.
     fn files(&self, names: &[String]) -> Result<Vec<PathBuf>, Fault> {
+        let folder = PathBuf::from(glob::Pattern::escape(&self.folder.to_string_lossy()));
         let mut files = Vec::new();
         for name in names {
-            let path = self.folder.join(name);
-            let pattern = path.to_string_lossy();
-            let found = glob::glob(&pattern)
-                .map_err(|error| Fault::user(format!("the pattern {pattern}: {error}")))?;
+            let found = glob::glob(&folder.join(name).to_string_lossy())
+                .map_err(|error| Fault::user(format!("the pattern {name}: {}", error.msg)))?;
             let mut found: Vec<PathBuf> = found.filter_map(Result::ok).collect();
             if found.is_empty() {
                 return Err(Fault::user(format!(
-                    "expected images, found none at {pattern}"
+                    "expected images, found none at {}",
+                    self.folder.join(name).display()
                 )));
             }
             found.sort_by_key(|path| crate::stores::natural_key(&path.to_string_lossy()));
@@ -314,65 +317,21 @@ impl ImageImport {
     }
 }
 
-impl Placement {
-    fn read(&self, folder: &Path) -> Result<Isometry3<f64>, Fault> {
-        let mut transform = match (&self.file, &self.matrix, &self.pose) {
-            (Some(file), None, None) => rigid(&calibration::extrinsic(&folder.join(file))?)?,
-            (None, Some(rows), None) => rigid(&matrix(rows)?)?,
-            (None, None, Some(pose)) => from_pose(pose)?,
-            _ => return Err(Fault::user("expected one of file, matrix and pose")),
-        };
-        transform.translation.vector *= self.scale.unwrap_or(1.0);
-        Ok(transform)
-    }
+/// Stamps of the images, ns, in the order of the images, which is not always that of time: those of the camera that has
+/// most images. Cameras with fewer images share the first of them.
+fn image_stamps(cameras: &[log::Camera]) -> Vec<u64> {
+    let most = cameras.iter().max_by_key(|camera| camera.images.len());
+    let images = most.into_iter().flat_map(|camera| &camera.images);
+    images.map(|(stamp, _)| *stamp).collect()
 }
 
-/// The transform of `[x, y, z, qx, qy, qz, qw]`.
-fn from_pose([x, y, z, qx, qy, qz, qw]: &[f64; 7]) -> Result<Isometry3<f64>, Fault> {
-    let rotation = Quaternion::new(*qw, *qx, *qy, *qz);
-    if rotation.norm() < 1e-6 {
-        return Err(Fault::user(
-            "expected a rotation, found a quaternion of length 0",
-        ));
-    }
-    let rotation = UnitQuaternion::from_quaternion(rotation);
-    Ok(Isometry3::from_parts(
-        Translation3::new(*x, *y, *z),
-        rotation,
-    ))
-}
-
-/// A 4 by 4 matrix from its rows.
-fn matrix(rows: &[Vec<f64>]) -> Result<Matrix4<f64>, Fault> {
-    let numbers: Vec<f64> = rows.iter().flatten().copied().collect();
-    if rows.len() != 4 || numbers.len() != 16 || rows.iter().any(|row| row.len() != 4) {
-        return Err(Fault::user("expected a matrix of 4 rows of 4 numbers"));
-    }
-    Ok(Matrix4::from_row_slice(&numbers))
-}
-
-/// The rigid transform of a matrix whose rotation was written with a few digits: the nearest rotation is taken.
-fn rigid(matrix: &Matrix4<f64>) -> Result<Isometry3<f64>, Fault> {
-    let given = matrix.fixed_view::<3, 3>(0, 0).into_owned();
-    let error = (given * given.transpose() - nalgebra::Matrix3::identity()).amax();
-    if !(error < 1e-2 && given.determinant() > 0.0) {
-        return Err(Fault::user(
-            "expected a rotation in the upper left of the matrix",
-        ));
-    }
-    let svd = given.svd(true, true);
-    let (Some(u), Some(v)) = (svd.u, svd.v_t) else {
-        return Err(Fault::bug("a decomposition without factors"));
-    };
-    let rotation = nalgebra::Rotation3::from_matrix_unchecked(u * v);
-    let translation = matrix.fixed_view::<3, 1>(0, 3).into_owned();
-    Ok(Isometry3::from_parts(
-        translation.into(),
-        UnitQuaternion::from_rotation_matrix(&rotation),
-    ))
-}
-
+/// The text of a file, without the byte order mark that some editors begin it with.
 fn read(path: &Path) -> Result<String, Fault> {
-    std::fs::read_to_string(path)
-        .map_err(|error| Fault::user(format!("expected a file, found {error}")).at(path.display()))
+    let text = std::fs::read_to_string(path).map_err(|error| {
+        Fault::user(format!("expected a file, found {error}")).at(path.display())
+    })?;
+    Ok(match text.strip_prefix('\u{feff}') {
+        Some(text) => text.to_owned(),
+        None => text,
+    })
 }
