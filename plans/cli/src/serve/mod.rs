@@ -27,7 +27,7 @@ use std::net::SocketAddr;
 use std::sync::Arc;
 use std::time::Duration;
 
-use evermap_engine::sql::Limits;
+use evermap_engine::sql::{Limits, runtime};
 use evermap_schemas::Fault;
 use tokio::net::TcpListener;
 use tokio::sync::Semaphore;
@@ -51,7 +51,8 @@ pub async fn serve(args: &ServeArgs) -> Ending {
         memory_bytes: args.memory,
         ..Limits::default()
     };
-    let maps = Maps::open(&args.maps, limits).await?;
+    let runtime = runtime(limits)?;
+    let maps = Maps::open(&args.maps, limits, &runtime).await?;
     let bounds = Bounds {
         timeout: Duration::from_secs(args.timeout_s),
         rows: args.rows,
