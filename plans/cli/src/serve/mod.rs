@@ -57,6 +57,7 @@ pub async fn serve(args: &ServeArgs) -> Ending {
         timeout: Duration::from_secs(args.timeout_s),
         rows: args.rows,
         queries: Arc::new(Semaphore::new(args.queries as usize)),
+        memory: Arc::clone(&runtime.memory_pool),
     };
     let no_thread = |error| Fault::resource(format!("cannot start a thread: {error}"));
     patience::keep_attending(tokio::runtime::Handle::current()).map_err(no_thread)?;
