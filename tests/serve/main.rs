@@ -156,19 +156,46 @@ fn a_server_stays_at_the_newest_whole_version_where_the_next_is_torn() {
     let whole = std::fs::read(map.join("versions/2.json")).unwrap();
     std::fs::write(map.join("versions/3.json"), &whole[..whole.len() / 2]).unwrap();
     let query = "/sql?format=csv&query=SELECT+count(*)+AS+n+FROM+lanes";
-    let request = format!("GET {query} HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n\r\n");
     let lanes = sql(&map, "SELECT count(*) AS n FROM lanes");
     let expected = format!("n\n{}\n", lanes[0]["n"]);
     for _ in 0..3 {
-        let mut stream = std::net::TcpStream::connect(&server.http).unwrap();
-        stream.write_all(request.as_bytes()).unwrap();
-        let mut answer = String::new();
-        stream.read_to_string(&mut answer).unwrap();
+        let answer = got(&server, query);
         assert!(answer.starts_with("HTTP/1.1 200"), "{answer}");
         assert!(answer.ends_with(&expected), "{answer}");
     }
     let said = server.stopped();
     assert_eq!(said.matches("version 3 is ignored: ").count(), 1, "{said}");
+}
+
+/// A version whose files `gc` takes is refused, also where its tables were open: none of its rows are left out in silence.
+#[test]
+fn a_version_that_gc_forgets_meanwhile_is_not_answered_in_part() {
+    let folder = tempfile::tempdir().unwrap();
+    let map = map(folder.path());
+    let server = Server::start(&map, &[]);
+    let second = || got(&server, "/layers/lanes?format=csv&version=2");
+    assert!(second().starts_with("HTTP/1.1 200"), "{}", second());
+    drive(folder.path(), &map, "wednesday", 28.0);
+    let lanes = |version: &str| {
+        let query = format!("SELECT digest FROM {version}layers WHERE layer = 'lanes'");
+        sql(&map, &query)
+    };
+    assert_ne!(lanes("v2."), lanes(""));
+    let beside = || asked(&server, "SELECT count(*) AS n FROM v2.lanes");
+    assert!(beside().starts_with("HTTP/1.1 200"), "{}", beside());
+    evermap(&["gc", "--map", text(&map), "--keep", "1"]).expect(0);
+    for (answer, status, says) in [
+        (second(), 400, "no version 2 in this map; there are: 3"),
+        (beside(), 422, "expected rows of a version, found no file"),
+    ] {
+        let begins = format!("HTTP/1.1 {status}");
+        assert!(
+            answer.starts_with(&begins) && answer.contains(says),
+            "{answer}"
+        );
+    }
+    let newest = got(&server, "/layers/lanes?format=csv");
+    assert!(newest.starts_with("HTTP/1.1 200"), "{newest}");
 }
 
 /// As Foxglove does it; those who take nothing cost the server nothing, and others are answered meanwhile.
@@ -218,6 +245,16 @@ fn asked(server: &Server, query: &str) -> String {
         query.len()
     );
     stream.write_all((head + query).as_bytes()).unwrap();
+    let mut answer = String::new();
+    stream.read_to_string(&mut answer).unwrap();
+    answer
+}
+
+/// What `GET` is answered.
+fn got(server: &Server, address: &str) -> String {
+    let mut stream = std::net::TcpStream::connect(&server.http).unwrap();
+    let request = format!("GET {address} HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n\r\n");
+    stream.write_all(request.as_bytes()).unwrap();
     let mut answer = String::new();
     stream.read_to_string(&mut answer).unwrap();
     answer
@@ -318,6 +355,33 @@ fn rows_wait_for_their_reader_outside_of_the_memory() {
     let more = server.memory().saturating_sub(before);
     assert!(more < 512 << 20, "{more} bytes more");
     drop(asked);
+}
+
+/// What waits for many who read nothing has one memory together, and who finds none is refused.
+#[test]
+fn rows_that_wait_for_many_readers_are_counted_in_the_memory() {
+    let folder = tempfile::tempdir().unwrap();
+    let map = map(folder.path());
+    let server = Server::start(&map, &["--memory", "64MiB"]);
+    let rows = "SELECT+repeat('x',7000000)+AS+t+FROM+generate_series(1,1000)";
+    let request = format!("GET /sql?format=arrow&query={rows} HTTP/1.1\r\nHost: localhost\r\n\r\n");
+    let before = server.memory();
+    let silent = [(); 32].map(|()| {
+        let mut stream = std::net::TcpStream::connect(&server.http).unwrap();
+        stream.write_all(request.as_bytes()).unwrap();
+        stream
+    });
+    std::thread::sleep(std::time::Duration::from_secs(8));
+    let more = server.memory().saturating_sub(before);
+    assert!(more < 400 << 20, "{more} bytes more");
+    drop(silent);
+    let answer = asked(&server, "SELECT count(*) AS n FROM lanes");
+    assert!(answer.starts_with("HTTP/1.1 200"), "{answer}");
+    let said = server.stopped();
+    assert!(
+        said.contains("an answer that is being read needs"),
+        "nobody was refused: {said}"
+    );
 }
 
 /// A thing that is clicked on the page is followed back to the messages of its log.

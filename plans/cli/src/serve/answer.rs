@@ -7,7 +7,9 @@ use std::time::Duration;
 use arrow::array::RecordBatch;
 use arrow::datatypes::SchemaRef;
 use datafusion::common::runtime::SpawnedTask;
+use datafusion::execution::memory_pool::{MemoryConsumer, MemoryPool, MemoryReservation};
 use evermap_engine::error::{OrFault, fault_of};
+use evermap_engine::nodes::weight::bytes;
 use evermap_engine::sql::{Term, read_only};
 use evermap_schemas::Fault;
 use futures::future::ready;
@@ -27,6 +29,36 @@ pub struct Bounds {
     pub rows: u64,
     /// Queries side by side.
     pub queries: Arc<Semaphore>,
+    /// The memory that queries share, with what of their answers waits for who reads it.
+    pub memory: Arc<dyn MemoryPool>,
+}
+
+/// What an item of an answer counts for.
+#[derive(Debug, Clone, Copy)]
+pub struct Size {
+    /// Its rows.
+    pub rows: usize,
+    /// Bytes of memory.
+    pub bytes: usize,
+}
+
+impl Size {
+    /// That of a batch.
+    pub fn of(batch: &RecordBatch) -> Self {
+        Self {
+            rows: batch.num_rows(),
+            bytes: batch.columns().iter().map(|column| bytes(column)).sum(),
+        }
+    }
+
+    /// That of all items together.
+    fn of_all<T, E>(items: &[Result<T, E>], size: fn(&T) -> Self) -> Self {
+        let sizes = items.iter().flatten().map(size);
+        sizes.fold(Self { rows: 0, bytes: 0 }, |all, one| Self {
+            rows: all.rows + one.rows,
+            bytes: all.bytes + one.bytes,
+        })
+    }
 }
 
 /// The time that a query has, and its place among those that run.
@@ -38,6 +70,7 @@ pub struct Turn {
     /// Answers that somebody reads.
     read: Arc<AtomicUsize>,
     rows: u64,
+    memory: Arc<dyn MemoryPool>,
     _place: OwnedSemaphorePermit,
 }
 
@@ -57,6 +90,7 @@ impl Bounds {
             term: Term::until(deadline.into_std(), too_long(self.timeout)),
             read: Arc::default(),
             rows: self.rows,
+            memory: Arc::clone(&self.memory),
             _place: place,
         }))
     }
@@ -77,14 +111,15 @@ impl Turn {
             .next("add a LIMIT, or start the server with a larger --rows")
     }
 
-    /// Items of an answer, until time or rows are used up, which is an error in the stream: so many `at_once` as are ready.
-    /// `rows` counts an item's, `error` says a fault as the stream does. Time goes on, and the place is left, whether
-    /// somebody reads or not; when all answers of a turn are dropped, what computes for them ends.
+    /// Items of an answer, until time, rows or memory are used up, which is an error in the stream: so many `at_once` as are
+    /// ready. `size` measures an item, `error` says a fault as the stream does. Time goes on, and the place is left, whether
+    /// somebody reads or not; when all answers of a turn are dropped, what computes for them ends. Items count in the memory
+    /// until the next are asked for: who reads them has made something else of them by then, and sent it.
     pub fn bounded<T, E>(
         self: Arc<Self>,
         items: impl Stream<Item = Result<T, E>> + Send + 'static,
         at_once: usize,
-        rows: fn(&T) -> usize,
+        size: fn(&T) -> Size,
         error: fn(Fault) -> E,
     ) -> BoxStream<'static, Result<T, E>>
     where
@@ -97,7 +132,7 @@ impl Turn {
         let (last, late) = (self.deadline + GRACE, too_long(self.timeout));
         let reader = Reader::of(&self);
         tokio::spawn(async move {
-            let done = self.hand_on(items, rows, &send).await;
+            let done = self.hand_on(items, size, &send).await;
             // The place is free before the reader learns that this is the end.
             drop(self);
             if let Err(fault) = done {
@@ -105,25 +140,42 @@ impl Turn {
                 let _ = end.send(error(fault));
             }
         });
-        let next = move |given: Option<(Given<T, E>, Reader, Fault)>| async move {
-            let (mut given, reader, late) = given?;
+        let next = move |state: Option<(Given<T, E>, Reader, Fault, Held)>| async move {
+            let (mut given, reader, late, read) = state?;
+            drop(read);
             match timeout_at(last, given.recv()).await {
-                Ok(items) => Some((items?, Some((given, reader, late)))),
+                Ok(handed) => {
+                    let Handed { items, memory } = handed?;
+                    Some((items, Some((given, reader, late, Some(memory)))))
+                }
                 // A computation hears late that its time is over, or not at all.
                 Err(_) => Some((vec![Err(error(late))], None)),
             }
         };
-        let items = stream::unfold(Some((given, reader, late)), next).flat_map(stream::iter);
+        let state = Some((given, reader, late, None));
+        let items = stream::unfold(state, next).flat_map(stream::iter);
         let end = stream::once(ended).filter_map(|end| ready(end.ok().map(Err)));
         items.chain(end).boxed()
+    }
+
+    /// Memory for items that wait for who reads them.
+    fn reserved(&self, bytes: usize) -> Result<MemoryReservation, Fault> {
+        let memory = MemoryConsumer::new("an answer that is being read").register(&self.memory);
+        let full = |fault: Fault| {
+            fault.next(
+                "read answers as they come, ask for fewer at once, or start the server with a larger --memory",
+            )
+        };
+        memory.try_grow(bytes).or_fault().map_err(full)?;
+        Ok(memory)
     }
 
     /// Hands items on until there are no more, one is an error, or nobody wants them any longer.
     async fn hand_on<T, E>(
         &self,
         mut items: BoxStream<'static, Vec<Result<T, E>>>,
-        rows: fn(&T) -> usize,
-        send: &mpsc::Sender<Vec<Result<T, E>>>,
+        size: fn(&T) -> Size,
+        send: &mpsc::Sender<Handed<T, E>>,
     ) -> Result<(), Fault> {
         let mut count = 0;
         loop {
@@ -134,12 +186,18 @@ impl Turn {
             let Some(some) = next else {
                 return Ok(());
             };
-            count += some.iter().flatten().map(rows).sum::<usize>() as u64;
+            let all = Size::of_all(&some, size);
+            count += all.rows as u64;
             if count > self.rows {
                 return Err(self.too_many());
             }
+            let memory = self.reserved(all.bytes)?;
             let is_end = some.iter().any(Result::is_err);
-            if self.within(send.send(some)).await?.is_err() || is_end {
+            let handed = Handed {
+                items: some,
+                memory,
+            };
+            if self.within(send.send(handed)).await?.is_err() || is_end {
                 return Ok(());
             }
         }
@@ -178,8 +236,17 @@ impl Drop for Reader {
 /// How long who reads waits beyond the deadline for a query that ends by itself, and says why.
 const GRACE: Duration = Duration::from_secs(1);
 
-/// Items on their way to who reads them.
-type Given<T, E> = mpsc::Receiver<Vec<Result<T, E>>>;
+/// Items on their way to who reads them, and the memory that they take.
+struct Handed<T, E> {
+    items: Vec<Result<T, E>>,
+    memory: MemoryReservation,
+}
+
+/// The memory of the items that were asked for last.
+type Held = Option<MemoryReservation>;
+
+/// Where items come from.
+type Given<T, E> = mpsc::Receiver<Handed<T, E>>;
 
 /// The rows of a query on a version.
 pub struct Answer {
@@ -210,23 +277,73 @@ pub async fn answer(opened: &Opened, query: &str, bounds: &Bounds) -> Result<Ans
     let rows = stream.map(|batch| batch.map_err(|error| fault_of(&error)));
     Ok(Answer {
         schema,
-        rows: turn.bounded(rows, 1, RecordBatch::num_rows, |fault| fault),
+        rows: turn.bounded(rows, 1, Size::of, |fault| fault),
     })
 }
 
 #[cfg(test)]
 mod tests {
     #![allow(clippy::unwrap_used)]
+    use datafusion::execution::memory_pool::GreedyMemoryPool;
     use evermap_engine::sql::{Limits, context};
+    use evermap_schemas::Kind;
 
     use super::*;
+
+    fn of_rows(rows: usize) -> Size {
+        Size { rows, bytes: 0 }
+    }
 
     fn bounds(timeout: Duration, rows: u64) -> Bounds {
         Bounds {
             timeout,
             rows,
             queries: Arc::new(Semaphore::new(1)),
+            memory: Arc::new(GreedyMemoryPool::new(1000)),
         }
+    }
+
+    /// Waits, for a minute at most.
+    async fn until(is_so: impl Fn() -> bool) {
+        let soon = async {
+            while !is_so() {
+                tokio::time::sleep(Duration::from_millis(1)).await;
+            }
+        };
+        let soon = tokio::time::timeout(Duration::from_secs(60), soon).await;
+        soon.unwrap();
+    }
+
+    #[tokio::test]
+    async fn items_that_wait_for_who_reads_them_count_until_the_next_are_asked_for() {
+        let bounds = Bounds {
+            memory: Arc::new(GreedyMemoryPool::new(120)),
+            queries: Arc::new(Semaphore::new(2)),
+            ..bounds(Duration::from_secs(100), 100)
+        };
+        let answer = async || {
+            let numbers = futures::stream::iter((0..9).map(Ok::<usize, Fault>));
+            let turn = bounds.turn().await.unwrap();
+            turn.bounded(numbers, 1, |_| Size { rows: 1, bytes: 40 }, |fault| fault)
+        };
+        // All of them together would not fit.
+        let read: Vec<_> = answer().await.collect().await;
+        assert!(read.len() == 9 && read.iter().all(Result::is_ok));
+        assert_eq!(bounds.memory.reserved(), 0);
+
+        let mut unread = answer().await;
+        assert!(unread.next().await.unwrap().is_ok());
+        // What is read, what comes next, and what waits behind it.
+        until(|| bounds.memory.reserved() == 120).await;
+        let refused: Vec<_> = answer().await.collect().await;
+        let fault = refused.last().unwrap().as_ref().unwrap_err();
+        assert!(
+            refused.len() == 1 && fault.kind == Kind::Resource,
+            "{fault}"
+        );
+        assert!(fault.next.contains("--memory"), "{fault}");
+        drop(unread);
+        until(|| bounds.memory.reserved() == 0).await;
     }
 
     #[tokio::test]
@@ -236,7 +353,7 @@ mod tests {
         let all = async |rows: u64| {
             let bounds = bounds(long, rows);
             let turn = bounds.turn().await.unwrap();
-            let found = turn.bounded(numbers(), 1, |_| 2, |fault| fault);
+            let found = turn.bounded(numbers(), 1, |_| of_rows(2), |fault| fault);
             let found: Vec<_> = found.collect().await;
             assert_eq!(bounds.queries.available_permits(), 1);
             found
@@ -255,7 +372,7 @@ mod tests {
         let bounds = bounds(Duration::from_millis(20), 100);
         let turn = bounds.turn().await.unwrap();
         let numbers = futures::stream::iter((0..50).map(Ok::<usize, Fault>));
-        let unread = turn.bounded(numbers, 4, |_| 1, |fault| fault);
+        let unread = turn.bounded(numbers, 4, |_| of_rows(1), |fault| fault);
         let next = tokio::time::timeout(Duration::from_secs(60), bounds.queries.acquire()).await;
         assert!(next.unwrap().is_ok());
         let found: Vec<_> = unread.collect().await;
@@ -280,8 +397,8 @@ mod tests {
         let slow = slow.await.unwrap();
         let slow = slow.map(|batch| batch.map_err(|error| fault_of(&error)));
         let numbers = futures::stream::iter((0..5).map(Ok::<usize, Fault>));
-        let quick = Arc::clone(&turn).bounded(numbers, 1, |_| 1, |fault| fault);
-        let slow = turn.bounded(slow, 1, RecordBatch::num_rows, |fault| fault);
+        let quick = Arc::clone(&turn).bounded(numbers, 1, |_| of_rows(1), |fault| fault);
+        let slow = turn.bounded(slow, 1, Size::of, |fault| fault);
         assert_eq!(quick.count().await, 5);
         tokio::time::sleep(Duration::from_secs(1)).await;
         assert_eq!(bounds.queries.available_permits(), 0);

@@ -1,14 +1,17 @@
 //! Flight SQL: the drivers of ADBC and JDBC fetch rows as Arrow, without copying them.
 //!
-//! Nothing is kept between calls: a ticket is the query and the version that it was planned on. The header `map` names
-//! the map where several are served.
+//! Nothing is kept between calls: a ticket is the query and the version that it was planned on. A statement that is prepared
+//! once is planned again each time that somebody asks where its rows are. The header `map` names the map where several are
+//! served.
 
 use std::pin::Pin;
 use std::sync::{Arc, LazyLock};
 
+use arrow::compute::cast;
 use arrow::datatypes::{Schema, SchemaRef};
+use arrow::error::ArrowError;
 use arrow::ipc::writer::IpcWriteOptions;
-use arrow::record_batch::RecordBatch;
+use arrow::record_batch::{RecordBatch, RecordBatchOptions};
 use arrow_flight::encode::FlightDataEncoderBuilder;
 use arrow_flight::error::FlightError;
 use arrow_flight::flight_service_server::{FlightService, FlightServiceServer};
@@ -91,7 +94,7 @@ impl Flight {
         }
     }
 
-    /// Plans a query on the newest version.
+    /// Plans a query on the newest version: what a ticket says, and the columns as they are sent.
     async fn plan(&self, map: &ServedMap, query: String) -> Result<(Planned, SchemaRef), Status> {
         let opened = map.newest().await.map_err(status)?;
         let turn = self.bounds.turn().await.map_err(status)?;
@@ -101,7 +104,7 @@ impl Flight {
             frame.create_physical_plan().await.or_fault()
         });
         let planned = planned.await.and_then(|planned| planned);
-        let schema = planned.map_err(status)?.schema();
+        let schema = sent(planned.map_err(status)?.schema());
         let version = opened.version();
         Ok((Planned { query, version }, schema))
     }
@@ -110,11 +113,14 @@ impl Flight {
         let opened = map.version(Some(planned.version)).await.map_err(status)?;
         let answer = answer(&opened, &planned.query, &self.bounds).await;
         let answer = answer.map_err(status)?;
+        let schema = sent(answer.schema);
+        let columns = Arc::clone(&schema);
         let rows = answer
             .rows
-            .map_err(|fault| FlightError::Tonic(Box::new(status(fault))));
+            .map(move |batch| with_columns(&columns, &batch?));
+        let rows = rows.map_err(|fault| FlightError::Tonic(Box::new(status(fault))));
         let encoded = FlightDataEncoderBuilder::new()
-            .with_schema(answer.schema)
+            .with_schema(schema)
             .build(rows)
             .map_err(Status::from);
         Ok(Response::new(encoded.boxed()))
@@ -129,6 +135,31 @@ fn status(fault: Fault) -> Status {
         Kind::Resource => Status::resource_exhausted(fault.to_string()),
         Kind::Bug => Status::internal(fault.to_string()),
     }
+}
+
+/// The columns as they are sent: the encoder makes plain lists of large ones, and values of dictionaries.
+fn sent(schema: SchemaRef) -> SchemaRef {
+    let encoder = FlightDataEncoderBuilder::new().with_schema(Arc::clone(&schema));
+    let encoder = encoder.build(futures::stream::empty());
+    encoder.known_schema().unwrap_or(schema)
+}
+
+/// A batch with these columns: the encoder takes large lists for plain ones, and does not make them so.
+fn with_columns(schema: &SchemaRef, batch: &RecordBatch) -> Result<RecordBatch, Fault> {
+    let columns = batch.columns().iter().zip(schema.fields());
+    let columns = columns.map(|(column, field)| cast(column, field.data_type()));
+    let columns = columns.collect::<Result<_, ArrowError>>()?;
+    let rows = RecordBatchOptions::new().with_row_count(Some(batch.num_rows()));
+    let batch = RecordBatch::try_new_with_options(Arc::clone(schema), columns, &rows);
+    Ok(batch?)
+}
+
+/// Where rows of a planned query are: here, by its ticket.
+fn statement(planned: &Planned, schema: &Schema, request: Asked) -> Info {
+    let ticket = TicketStatementQuery {
+        statement_handle: planned.bytes()?.into(),
+    };
+    info(schema, ticket.as_any(), request)
 }
 
 /// Where rows of these columns are: here, by this ticket.
@@ -198,10 +229,7 @@ impl FlightSqlService for Flight {
         request: Asked,
     ) -> Info {
         let (planned, schema) = self.plan(self.map(&request)?, command.query).await?;
-        let ticket = TicketStatementQuery {
-            statement_handle: planned.bytes()?.into(),
-        };
-        info(&schema, ticket.as_any(), request)
+        statement(&planned, &schema, request)
     }
 
     async fn do_get_statement(
@@ -242,18 +270,9 @@ impl FlightSqlService for Flight {
         command: CommandPreparedStatementQuery,
         request: Asked,
     ) -> Info {
-        let planned = Planned::parse(&command.prepared_statement_handle)?;
-        let (_, schema) = self.plan(self.map(&request)?, planned.query).await?;
-        info(&schema, command.as_any(), request)
-    }
-
-    async fn do_get_prepared_statement(
-        &self,
-        command: CommandPreparedStatementQuery,
-        request: Request<Ticket>,
-    ) -> Got<Self> {
-        let planned = Planned::parse(&command.prepared_statement_handle)?;
-        self.rows(self.map(&request)?, &planned).await
+        let prepared = Planned::parse(&command.prepared_statement_handle)?;
+        let (planned, schema) = self.plan(self.map(&request)?, prepared.query).await?;
+        statement(&planned, &schema, request)
     }
 
     async fn get_flight_info_catalogs(&self, command: CommandGetCatalogs, request: Asked) -> Info {
@@ -346,3 +365,6 @@ impl FlightSqlService for Flight {
 
     async fn register_sql_info(&self, _: i32, _: &SqlInfo) {}
 }
+
+#[cfg(test)]
+mod tests;

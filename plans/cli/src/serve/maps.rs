@@ -11,8 +11,8 @@ use datafusion_postgres::datafusion_pg_catalog::pg_catalog::context::EmptyContex
 use datafusion_postgres::datafusion_pg_catalog::setup_pg_catalog;
 use evermap_engine::error::OrFault;
 use evermap_engine::map::store::Store;
-use evermap_engine::map::version::Version;
-use evermap_engine::sql::{Limits, context_on, runtime};
+use evermap_engine::map::version::{FileState, Version};
+use evermap_engine::sql::{Limits, context_on};
 use evermap_functions::use_indexes;
 use evermap_language::{listed, nearest};
 use evermap_schemas::Fault;
@@ -43,11 +43,21 @@ pub struct ServedMap {
     /// The last of the torn versions that were told.
     torn: AtomicU64,
     /// Versions that were asked for, the last of them last.
-    open: Mutex<Vec<Arc<Opened>>>,
+    open: Mutex<Vec<Kept>>,
+    /// How many were opened.
+    openings: AtomicU64,
+}
+
+/// A version that is open, and what its file was like before it was.
+struct Kept {
+    opened: Arc<Opened>,
+    state: FileState,
 }
 
 /// A version of a map with its layers as tables.
 pub struct Opened {
+    /// Counts what was opened of the map: a map that is made anew has versions of the same numbers.
+    pub opening: u64,
     /// The map at this version.
     pub reader: MapReader,
     /// Its layers as tables.
@@ -66,12 +76,15 @@ impl Opened {
 }
 
 impl Maps {
-    /// Opens maps by their addresses. They share the memory of the limits.
+    /// Opens maps by their addresses. They share the runtime, which has the memory of the limits.
     ///
     /// # Errors
     /// A user fault for a place without a map, or for two maps of one name.
-    pub async fn open(addresses: &[String], limits: Limits) -> Result<Self, Fault> {
-        let runtime = runtime(limits)?;
+    pub async fn open(
+        addresses: &[String],
+        limits: Limits,
+        runtime: &Arc<RuntimeEnv>,
+    ) -> Result<Self, Fault> {
         let mut maps = BTreeMap::new();
         for address in addresses {
             let store = Store::open(address, false)?;
@@ -81,10 +94,11 @@ impl Maps {
                 address: address.clone(),
                 store,
                 limits,
-                runtime: Arc::clone(&runtime),
+                runtime: Arc::clone(runtime),
                 newest: AtomicU64::new(0),
                 torn: AtomicU64::new(0),
                 open: Mutex::default(),
+                openings: AtomicU64::new(0),
             };
             map.newest().await?;
             if maps.insert(name.clone(), Arc::new(map)).is_some() {
@@ -127,10 +141,13 @@ impl ServedMap {
     /// A user fault for a map without a version, a resource fault when the store does not answer.
     pub async fn newest(&self) -> Result<Arc<Opened>, Fault> {
         let mut number = self.newest.load(Ordering::Acquire);
-        let is_first = number == 0;
+        // `gc` forgets versions, and another map may be in the place of this one.
+        let known = self.as_it_was(number).await?;
+        let is_first = known.is_none();
         if is_first {
             let latest = Version::latest(&self.store).await?;
             number = latest.map_or(0, |version| version.version);
+            self.torn.store(0, Ordering::Release);
         }
         let torn = |version: u64, fault: Fault| {
             // Those that there were at first were told when the newest was looked for.
@@ -141,11 +158,24 @@ impl ServedMap {
         while let (next, Some(_)) = Version::after(&self.store, number, torn).await? {
             number = next;
         }
-        self.newest.fetch_max(number, Ordering::AcqRel);
-        match number {
-            0 => self.at(None).await,
-            number => self.at(Some(number)).await,
+        self.newest.store(number, Ordering::Release);
+        match (number, known) {
+            (0, _) => self.opened(None).await.map(Arc::new),
+            (_, Some(known)) if known.version() == number => Ok(known),
+            _ => self.at(number).await,
         }
+    }
+
+    /// A version that is open, if it is still what the map has.
+    async fn as_it_was(&self, number: u64) -> Result<Option<Arc<Opened>>, Fault> {
+        if number == 0 {
+            return Ok(None);
+        }
+        let state = Version::state(&self.store, number).await?;
+        let open = self.open.lock().await;
+        let known = open.iter().find(|kept| kept.opened.version() == number);
+        let known = known.filter(|kept| Some(&kept.state) == state.as_ref());
+        Ok(known.map(|kept| Arc::clone(&kept.opened)))
     }
 
     /// Whether nobody was told yet that this version is torn.
@@ -159,24 +189,29 @@ impl ServedMap {
     /// As [`ServedMap::newest`], and a user fault for a version that is not there.
     pub async fn version(&self, number: Option<u64>) -> Result<Arc<Opened>, Fault> {
         match number {
-            Some(number) => self.at(Some(number)).await,
+            Some(number) => self.at(number).await,
             None => self.newest().await,
         }
     }
 
-    async fn at(&self, number: Option<u64>) -> Result<Arc<Opened>, Fault> {
+    /// A version as it is now: what is open of another one of its number is forgotten.
+    async fn at(&self, number: u64) -> Result<Arc<Opened>, Fault> {
+        let state = Version::state(&self.store, number).await?;
         let mut open = self.open.lock().await;
-        let place = open
-            .iter()
-            .position(|opened| Some(opened.version()) == number);
-        let opened = match place {
-            Some(place) => open.remove(place),
-            None => Arc::new(self.opened(number).await?),
+        let place = open.iter().position(|kept| kept.opened.version() == number);
+        let known = place.map(|place| open.remove(place));
+        let known = known.filter(|kept| Some(&kept.state) == state.as_ref());
+        let opened = match known {
+            Some(kept) => kept.opened,
+            None => Arc::new(self.opened(Some(number)).await?),
         };
-        open.push(Arc::clone(&opened));
+        if let Some(state) = state {
+            let opened = Arc::clone(&opened);
+            open.push(Kept { opened, state });
+        }
         let newest = self.newest.load(Ordering::Acquire);
         while open.len() > MOST_OPEN {
-            let oldest = open.iter().position(|opened| opened.version() != newest);
+            let oldest = open.iter().position(|kept| kept.opened.version() != newest);
             open.remove(oldest.unwrap_or_default());
         }
         Ok(opened)
@@ -195,6 +230,7 @@ impl ServedMap {
         complete_types(&context, &self.name).await.or_fault()?;
         let postgres = DfSessionService::new_with_hooks(Arc::new(context.clone()), hooks());
         Ok(Opened {
+            opening: self.openings.fetch_add(1, Ordering::AcqRel),
             reader,
             context,
             postgres,
@@ -209,40 +245,4 @@ impl ServedMap {
 }
 
 #[cfg(test)]
-mod tests {
-    #![allow(clippy::unwrap_used)]
-    use std::path::Path;
-
-    use super::*;
-
-    async fn publish(map: &Path, number: u64) {
-        let store = Store::open(map.to_str().unwrap(), true).unwrap();
-        let version = Version {
-            version: number,
-            ..Version::default()
-        };
-        assert!(version.publish(&store).await.unwrap());
-    }
-
-    #[tokio::test]
-    async fn a_torn_version_is_passed_over_and_told_once() {
-        let folder = tempfile::tempdir().unwrap();
-        let map = folder.path().join("map");
-        publish(&map, 1).await;
-        let addresses = [map.to_str().unwrap().to_owned()];
-        let maps = Maps::open(&addresses, Limits::default()).await.unwrap();
-        let served = maps.only().unwrap();
-        let version = async || served.newest().await.unwrap().version();
-        assert_eq!(version().await, 1);
-        let whole = std::fs::read(map.join("versions/1.json")).unwrap();
-        let torn = map.join("versions/2.json");
-        std::fs::write(&torn, &whole[..whole.len() / 2]).unwrap();
-        assert_eq!((version().await, version().await), (1, 1));
-        assert!(!served.is_news(2) && served.is_news(4));
-        publish(&map, 3).await;
-        assert_eq!(version().await, 3);
-        // Nobody looks back.
-        std::fs::remove_file(torn).unwrap();
-        assert_eq!(version().await, 3);
-    }
-}
+pub(crate) mod tests;

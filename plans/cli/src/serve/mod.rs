@@ -27,7 +27,7 @@ use std::net::SocketAddr;
 use std::sync::Arc;
 use std::time::Duration;
 
-use evermap_engine::sql::Limits;
+use evermap_engine::sql::{Limits, runtime};
 use evermap_schemas::Fault;
 use tokio::net::TcpListener;
 use tokio::sync::Semaphore;
@@ -51,11 +51,13 @@ pub async fn serve(args: &ServeArgs) -> Ending {
         memory_bytes: args.memory,
         ..Limits::default()
     };
-    let maps = Maps::open(&args.maps, limits).await?;
+    let runtime = runtime(limits)?;
+    let maps = Maps::open(&args.maps, limits, &runtime).await?;
     let bounds = Bounds {
         timeout: Duration::from_secs(args.timeout_s),
         rows: args.rows,
         queries: Arc::new(Semaphore::new(args.queries as usize)),
+        memory: Arc::clone(&runtime.memory_pool),
     };
     let no_thread = |error| Fault::resource(format!("cannot start a thread: {error}"));
     patience::keep_attending(tokio::runtime::Handle::current()).map_err(no_thread)?;

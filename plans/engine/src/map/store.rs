@@ -30,9 +30,12 @@ use url::Url;
 
 use crate::error::{no_map, store_fault};
 use crate::map::local::Folder;
+use crate::map::store::files::Files;
 use evermap_schemas::Fault;
 
 pub use crate::map::local::TEMPORARY;
+
+mod files;
 
 /// Where a map is kept.
 #[derive(Debug, Clone)]
@@ -58,7 +61,7 @@ impl Store {
             folder: local.flatten().map(Folder::new),
             url,
             root,
-            store: Arc::from(store),
+            store: Arc::new(Files(Arc::from(store))),
         })
     }
 
@@ -85,7 +88,7 @@ impl Store {
         }
     }
 
-    /// The object store beneath.
+    /// The object store beneath. Where an artifact is gone, listing what is under its name is an error.
     pub fn objects(&self) -> Arc<dyn ObjectStore> {
         Arc::clone(&self.store)
     }

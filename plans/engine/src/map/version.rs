@@ -12,6 +12,8 @@ use crate::map::receipt::{Artifact, LogContent};
 use crate::map::store::{Store, other_json};
 use crate::map::{parts, sealed};
 
+pub use crate::fingerprint::FileState;
+
 /// The folder of a map that has its versions.
 const VERSIONS: &str = "versions";
 
@@ -151,6 +153,15 @@ impl Version {
             ))),
             _ => Ok(found),
         }
+    }
+
+    /// What the file of a version is like, which tells it from another one of its number; `None` where there is none.
+    ///
+    /// # Errors
+    /// A resource fault when the store does not answer.
+    pub async fn state(store: &Store, version: u64) -> Result<Option<FileState>, Fault> {
+        let meta = store.meta(&Self::name(version)).await?;
+        Ok(meta.map(|meta| FileState::of(store.url().as_str(), &meta)))
     }
 
     /// A version by number.

@@ -132,6 +132,7 @@ fn measured(
     })
 }
 
+/// Rows as they come. A batch counts in the memory until what was made of it is sent: then the next one is asked for.
 fn arrow_stream(answer: Answer) -> Result<Response, Fault> {
     let writer = Arc::new(Mutex::new(StreamWriter::try_new(
         Vec::new(),

@@ -9,8 +9,9 @@ use pgwire::api::results::{QueryResponse, Response, Tag};
 use pgwire::api::{ClientInfo, ConnectionHandle};
 use pgwire::error::{PgWireError, PgWireResult};
 use pgwire::messages::PgWireBackendMessage;
+use pgwire::messages::data::DataRow;
 
-use crate::serve::answer::Turn;
+use crate::serve::answer::{Size, Turn};
 use crate::serve::postgres::{error, said};
 
 /// Rows that are handed on together: each by itself would cost more on its way than to make.
@@ -55,8 +56,8 @@ pub fn bounded(response: Response, turn: &Arc<Turn>, cancelled: &Cancelled) -> R
                 data_rows,
                 ..
             } = query;
-            let rows =
-                Arc::clone(turn).bounded(data_rows, ROWS_AT_ONCE, |_| 1, |fault| said(&fault));
+            let turn = Arc::clone(turn);
+            let rows = turn.bounded(data_rows, ROWS_AT_ONCE, size, |fault| said(&fault));
             let state = Some((rows, cancelled.clone()));
             let next = |state: Option<(BoxStream<'static, _>, Cancelled)>| async move {
                 let (mut rows, cancelled) = state?;
@@ -71,6 +72,13 @@ pub fn bounded(response: Response, turn: &Arc<Turn>, cancelled: &Cancelled) -> R
             Response::Query(bounded)
         }
         other => other,
+    }
+}
+
+fn size(row: &DataRow) -> Size {
+    Size {
+        rows: 1,
+        bytes: row.data.len(),
     }
 }
 

@@ -222,9 +222,9 @@ impl Parser {
     }
 }
 
-/// A query with a note of the version that it was planned on.
+/// A query with a note of what it was planned on: a version, as it was opened.
 fn noted(query: &str, opened: &Opened) -> String {
-    format!("-- version {}\n{query}", opened.version())
+    format!("-- opening {}\n{query}", opened.opening)
 }
 
 impl Parser {

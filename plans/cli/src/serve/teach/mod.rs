@@ -122,10 +122,10 @@ impl Teaching {
 }
 
 impl Site {
-    /// Places labels in a version of the map, if it is another one.
+    /// Places labels in a version of the map, if it was opened since.
     async fn at(&self, opened: Arc<Opened>) -> Result<(), Fault> {
         let mut told = self.told.lock().await;
-        if told.opened.version() < opened.version() {
+        if told.opened.opening < opened.opening {
             told.end(Duration::ZERO);
             let (map, site) = (told.map.clone(), told.state.site.clone());
             let mut read = Told::read(opened, &map, &site, told.folder.clone()).await?;

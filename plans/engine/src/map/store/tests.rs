@@ -84,3 +84,32 @@ fn a_map_that_is_not_there_says_what_to_do() {
     let text = Store::open("/no/such/map", false).unwrap_err().to_string();
     assert!(text.contains("evermap run"), "{text}");
 }
+
+/// DataFusion lists what is under a name that has no file.
+#[tokio::test]
+async fn an_artifact_that_is_gone_is_no_empty_folder() {
+    let folder = tempfile::tempdir().unwrap();
+    let store = Store::open(folder.path().to_str().unwrap(), true).unwrap();
+    let name = "artifacts/rows.parquet";
+    store.write(name, b"rows".to_vec()).await.unwrap();
+    let listed = async |name: &str| {
+        let listed = store.objects().list(Some(&store.path(name)));
+        let listed: Result<Vec<ObjectMeta>, _> = listed.try_collect().await;
+        listed.map(|found| found.len())
+    };
+    assert_eq!(listed("artifacts").await.unwrap(), 1);
+    store.remove(name).await.unwrap();
+    let error = datafusion::error::DataFusionError::from(listed(name).await.unwrap_err());
+    let fault = crate::error::fault_of(&error);
+    assert_eq!(fault.kind, evermap_schemas::Kind::Data);
+    assert!(
+        fault
+            .message
+            .ends_with("rows.parquet: expected rows of a version, found no file"),
+        "{fault}"
+    );
+    assert!(fault.next.contains("evermap gc"), "{fault}");
+    for other in ["artifacts", "runs/1.parquet", "artifacts/rows"] {
+        assert_eq!(listed(other).await.unwrap(), 0, "{other}");
+    }
+}
