@@ -30,7 +30,7 @@ use crate::serve::postgres::cursors;
 use crate::serve::postgres::functions::SETTINGS;
 use crate::serve::postgres::geometry::{as_extended, as_text, told};
 use crate::serve::postgres::kept::deallocate;
-use crate::serve::postgres::nested::{as_json, as_texts};
+use crate::serve::postgres::nested::{as_json, as_texts, without_bytes};
 use crate::serve::postgres::postgis::with_views;
 use crate::serve::postgres::spatial::in_our_words;
 use crate::serve::postgres::{error, said};
@@ -262,7 +262,7 @@ async fn planned(statement: Statement, context: &SessionContext) -> PgWireResult
         .with_allow_statements(false);
     let plan = plan.and_then(|plan| {
         allowed.verify_plan(&plan)?;
-        as_extended(as_json(as_texts(plan)?)?)
+        without_bytes(as_extended(as_json(as_texts(plan)?)?)?)
     });
     plan.map_err(|error| said(&explained(context, fault_of(&error))))
 }
