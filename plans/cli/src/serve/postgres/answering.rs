@@ -4,13 +4,14 @@ use std::sync::Arc;
 
 use futures::future::{BoxFuture, Shared};
 use futures::stream::BoxStream;
-use futures::{FutureExt, Sink, SinkExt, StreamExt};
+use futures::{FutureExt, Sink, SinkExt, StreamExt, TryStreamExt};
 use pgwire::api::results::{QueryResponse, Response, Tag};
 use pgwire::api::{ClientInfo, ConnectionHandle};
 use pgwire::error::{PgWireError, PgWireResult};
 use pgwire::messages::PgWireBackendMessage;
 
 use crate::serve::answer::Turn;
+use crate::serve::postgres::hooks::fault_in_our_words;
 use crate::serve::postgres::{error, said};
 
 /// Rows that are handed on together: each by itself would cost more on its way than to make.
@@ -55,6 +56,7 @@ pub fn bounded(response: Response, turn: &Arc<Turn>, cancelled: &Cancelled) -> R
                 data_rows,
                 ..
             } = query;
+            let data_rows = data_rows.map_err(fault_in_our_words);
             let rows =
                 Arc::clone(turn).bounded(data_rows, ROWS_AT_ONCE, |_| 1, |fault| said(&fault));
             let state = Some((rows, cancelled.clone()));
