@@ -181,19 +181,24 @@ def watched(http):
     said = gone.next()
     assert said["op"] == "status" and "no poses of session sunday" in said["message"], said
 
-    for code, more in [
-        (403, {"origin": "https://evil.example"}),
-        (403, {"origin": "null"}),
-        (403, {"origin": "https://app.foxglove.dev.evil.example"}),
-        (403, {"origin": f"https://{http}.evil.example"}),
-        (400, {"subprotocols": ["graphql-ws"]}),
-        (400, {"subprotocols": None}),
+    for code, asked, more in [
+        (403, "", {"origin": "https://evil.example"}),
+        # Nobody has a token where there are no users.
+        (403, "?token=anything", {"origin": "https://evil.example"}),
+        (403, "?token=", {"origin": "https://evil.example"}),
+        (403, "", {"origin": "null"}),
+        (403, "", {"origin": "https://app.foxglove.dev.evil.example"}),
+        (403, "", {"origin": f"https://{http}.evil.example"}),
+        (400, "", {"subprotocols": ["graphql-ws"]}),
+        (400, "", {"subprotocols": None}),
     ]:
         try:
-            connect(f"ws://{http}/foxglove", **({"subprotocols": ["foxglove.sdk.v1"]} | more)).close()
-            raise SystemExit(f"came in with {more}")
+            connect(f"ws://{http}/foxglove{asked}", **({"subprotocols": ["foxglove.sdk.v1"]} | more)).close()
+            raise SystemExit(f"came in with {asked} {more}")
         except InvalidStatus as error:
-            assert error.response.status_code == code, (error, more)
+            assert error.response.status_code == code, (error, asked, more)
+    # A program that is no page may say one all the same.
+    Viewer(http + "/foxglove?token=anything").socket.close()
     for origin in ["https://app.foxglove.dev", "file://", "http://localhost:8080", f"http://{http}"]:
         Viewer(http + "/foxglove", origin=origin).socket.close()
 

@@ -58,6 +58,8 @@ def main(postgres):
         warnings.filterwarnings("ignore", message="Did not recognize type 'geometry'")
         columns = {column["name"]: str(column["type"]) for column in inspector.get_columns("lanes")}
         assert columns["length_m"] == "DOUBLE PRECISION" and columns["lane"] == "BIGINT", columns
+        table = sqlalchemy.Table("lanes", sqlalchemy.MetaData(), autoload_with=engine)
+        assert table.primary_key.name == "lanes_pkey" and table.primary_key.columns.keys() == ["site", "lane"], table.primary_key
         assert len(pandas.read_sql_table("lanes", engine)) == len(client.execute("SELECT 1 FROM lanes").fetchall())
     # What drivers and dashboards ask first, and pools when they are given a connection back.
     for question, answer in [
@@ -68,12 +70,26 @@ def main(postgres):
         assert client.execute(question).fetchone() == (answer,), question
     for said in ["UNLISTEN *", "RESET ALL", "SET ROLE none", "SET SESSION AUTHORIZATION DEFAULT"]:
         client.execute(said)
-    for wrong, number in [("SELECT 1 FROM nowhere", "42P01"), ("SELECT nothing FROM lanes", "42703")]:
-        try:
-            client.execute(wrong)
-            raise AssertionError(wrong)
-        except psycopg.Error as error:
-            assert error.sqlstate == number, (wrong, error.sqlstate)
+    # The columns of a key are rows, counted from 0 as Postgres does.
+    key = """SELECT unnest(indkey), generate_subscripts(indkey, 1), unnest(indclass) IS NULL FROM pg_catalog.pg_index
+        WHERE indrelid = (SELECT oid FROM pg_catalog.pg_class WHERE relname = 'lanes')"""
+    assert client.execute(key).fetchall() == [(1, 0, False), (2, 1, False)]
+    for wrong, number in [
+        ("SELECT 1 FROM nowhere", "42P01"),
+        ("SELECT nothing FROM lanes", "42703"),
+        ("SELEC 1", "42601"),
+        ("SELECT 'abc", "42601"),
+        ("DECLARE mine CURSOR FOR SELEC 1", "42601"),
+        ("SELECT 1 / (value - 1) FROM generate_series(1, 3)", "22012"),
+        ("SELECT no_function(i.indkey) AS x FROM pg_index i JOIN pg_description d ON d.objoid = i.indexrelid", "42883"),
+    ]:
+        # Without values it is asked at once, with them it is prepared first.
+        for values in (None, ()):
+            try:
+                client.execute(wrong, values, prepare=values is not None)
+                raise AssertionError(wrong)
+            except psycopg.Error as error:
+                assert error.sqlstate == number, (wrong, values, error.sqlstate)
     with engine.connect() as connection, warnings.catch_warnings():
         warnings.simplefilter("error")
         lanes = geopandas.read_postgis(query, connection, geom_col="geometry")

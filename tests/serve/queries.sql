@@ -66,3 +66,4 @@ SELECT count(*) AS n FROM poses p JOIN monday.odometry o ON p.stamp = o.stamp WH
 SELECT * FROM poses_flat ORDER BY session, stamp LIMIT 3;
 SELECT session, max(map_from_vehicle_x) AS east FROM poses_flat GROUP BY session ORDER BY session;
 SELECT count(*) AS n FROM v1.poses_flat;
+SELECT arrow_cast(-1, 'Int8') AS a, arrow_cast(5, 'Int8') AS b, [arrow_cast(-1, 'Int8'), NULL, arrow_cast(127, 'Int8')] AS c;

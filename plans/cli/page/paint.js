@@ -124,7 +124,7 @@ export class Painting {
       const picture = new Image();
       picture.src = image(one.session, one.camera, one.stamp, version);
       const [found, said] = await Promise.all([
-        there.get("label_images")?.rows ? sql(labels(one), version) : [], teaching(site, one), picture.decode(),
+        there.get("label_images")?.rows ? sql(labels(one), version) : [], teaching([site], one), picture.decode(),
       ]);
       if (this.at !== one) return;
       this.size = [picture.naturalWidth, picture.naturalHeight];
@@ -172,7 +172,7 @@ export class Painting {
   async look() {
     const { at } = this;
     if (!this.isReady || this.isDrawing || this.saving) return;
-    const said = await teaching(this.state.site, at).catch(() => undefined);
+    const said = await teaching([this.state.site], at).catch(() => undefined);
     if (!said || this.at !== at || this.isDrawing || this.saving) return;
     if (JSON.stringify(said.labels) !== JSON.stringify(this.lying)) this.lie(said.labels);
   }
@@ -311,7 +311,7 @@ export class Painting {
     this.saving = true;
     $("paint-saved").textContent = "saving …";
     try {
-      const answer = await teaching(this.state.site, at, { author: this.page.author(), features: { type: "FeatureCollection", features } });
+      const answer = await teaching([this.state.site], at, { author: this.page.author(), features: { type: "FeatureCollection", features } });
       if (this.at !== at) return true;
       if (!isUndo) this.undone.push(answer.undo.features);
       $("paint-saved").textContent = `saved; drawn on this image: ${answer.labels.length}`;

@@ -33,14 +33,14 @@ function exact(text) {
 }
 
 /**
- * Asks a server that is taught: without a path who may teach, of `SITE` its labels, or those
- * of an image that is asked for, of `SITE/KIND` what may be of a kind.
- * @param {string} [path]
+ * Asks a server that is taught: of nothing who may teach, of `[site]` its labels, or those
+ * of an image that is asked for, of `[site, kind]` what may be of a kind.
+ * @param {string[]} [of] any texts: a name may have a slash
  * @param {object} [asked]
  * @param {object} [said] what is said of the site, or of the image
  */
-export async function teaching(path, asked = {}, said = undefined) {
-  const address = path === undefined ? "./teach" : `./teach/${path.split("/").map(encodeURIComponent).join("/")}?${new URLSearchParams(asked)}`;
+export async function teaching(of = [], asked = {}, said = undefined) {
+  const address = `${["./teach", ...of.map(encodeURIComponent)].join("/")}?${new URLSearchParams(asked)}`;
   const how = said && { method: "POST", headers: { "content-type": "application/json" }, body: JSON.stringify(said) };
   const answer = await fetch(address, how);
   if (answer.ok) return answer.json();

@@ -69,7 +69,7 @@ class Teaching {
     const { site } = this.state;
     if (!site || this.saving) return;
     try {
-      const found = await teaching(site);
+      const found = await teaching([site]);
       if (site !== this.state.site || found.revision <= this.revision) return;
       this.show(found);
       await this.rank();
@@ -97,7 +97,7 @@ class Teaching {
   async rank() {
     const { kind, revision, state: { site } } = this;
     for (const searched of [false, true]) {
-      const found = await teaching(`${site}/${kind}`, { revision, searched }).catch((error) => this.page.fault(error.message));
+      const found = await teaching([site, kind], { revision, searched }).catch((error) => this.page.fault(error.message));
       if (!found || kind !== this.kind || site !== this.state.site || found.revision < this.revision) return;
       this.rankIs(found);
       if (found.is_searched) return;
@@ -162,7 +162,7 @@ class Teaching {
     this.saving = true;
     $("saved").textContent = "saving …";
     try {
-      const answer = await teaching(this.state.site, {}, { author: this.author(), features: { type: "FeatureCollection", features } });
+      const answer = await teaching([this.state.site], {}, { author: this.author(), features: { type: "FeatureCollection", features } });
       if (!isUndo && answer.saved > 0) this.undone.push(answer.undo.features);
       $("undo").disabled = this.undone.length === 0;
       $("saved").textContent = [answer.saved ? `saved; labels: ${answer.labels.length}` : "was so already", ...answer.notes].join("; ");

@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use futures::future::{BoxFuture, Shared};
 use futures::stream::BoxStream;
-use futures::{FutureExt, Sink, SinkExt, StreamExt};
+use futures::{FutureExt, Sink, SinkExt, StreamExt, TryStreamExt};
 use pgwire::api::results::{QueryResponse, Response, Tag};
 use pgwire::api::{ClientInfo, ConnectionHandle};
 use pgwire::error::{PgWireError, PgWireResult};
@@ -12,6 +12,7 @@ use pgwire::messages::PgWireBackendMessage;
 use pgwire::messages::data::DataRow;
 
 use crate::serve::answer::{Size, Turn};
+use crate::serve::postgres::hooks::fault_in_our_words;
 use crate::serve::postgres::{error, said};
 
 /// Rows that are handed on together: each by itself would cost more on its way than to make.
@@ -57,6 +58,7 @@ pub fn bounded(response: Response, turn: &Arc<Turn>, cancelled: &Cancelled) -> R
                 ..
             } = query;
             let turn = Arc::clone(turn);
+            let data_rows = data_rows.map_err(fault_in_our_words);
             let rows = turn.bounded(data_rows, ROWS_AT_ONCE, size, |fault| said(&fault));
             let state = Some((rows, cancelled.clone()));
             let next = |state: Option<(BoxStream<'static, _>, Cancelled)>| async move {

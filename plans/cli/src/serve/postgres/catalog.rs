@@ -14,9 +14,9 @@ use datafusion::prelude::SessionContext;
 use datafusion::sql::parser::Statement as Parsed;
 use datafusion::sql::resolve::resolve_table_references;
 use datafusion::sql::sqlparser::ast::{
-    AccessExpr, ArrayElemTypeDef, CastKind, DataType as SqlType, Expr, Function, FunctionArguments,
-    ObjectName, Query, SelectItem, SetExpr, Statement, Value, ValueWithSpan, visit_expressions,
-    visit_expressions_mut, visit_relations,
+    AccessExpr, ArrayElemTypeDef, BinaryOperator, CastKind, DataType as SqlType, Expr, Function,
+    FunctionArguments, ObjectName, Query, SelectItem, SetExpr, Statement, Value, ValueWithSpan,
+    visit_expressions, visit_expressions_mut, visit_relations,
 };
 use datafusion_postgres::datafusion_pg_catalog::pg_catalog::create_pg_table_is_visible;
 
@@ -46,6 +46,9 @@ const FILLED: [&str; 13] = [
 
 /// Those of them that have no rows of anything that a client asks for by the rows of others.
 const EMPTY: [&str; 3] = ["pg_attrdef", "pg_collation", "pg_sequence"];
+
+/// Those with the keys of layers: who asks for these and is not understood is told so, and not that there are none.
+const OF_KEYS: [&str; 2] = ["pg_constraint", "pg_index"];
 
 /// Columns of Postgres' tables that the library leaves out: lists of options and of rights, of which a map has none.
 const LISTS: [&str; 5] = ["datacl", "nspacl", "relacl", "reloptions", "typacl"];
@@ -160,6 +163,14 @@ pub fn in_its_words(mut statement: Statement) -> Statement {
         {
             *name = bare.to_owned();
         }
+        if let Expr::BinaryOp { left, right, .. } = found
+            && last_name(left).starts_with("indis")
+            && let Expr::Value(value) = right.as_mut()
+            && let Value::SingleQuotedString(text) = &value.value
+            && ["t", "f"].contains(&text.as_str())
+        {
+            value.value = Value::Boolean(text == "t");
+        }
         ControlFlow::<()>::Continue(())
     });
     statement
@@ -268,6 +279,15 @@ fn is_name(found: &Expr) -> bool {
     matches!(found, Expr::Identifier(name) if ["proname", "typname"].contains(&name.value.as_str()))
 }
 
+/// What a column is called, whatever it is of.
+fn last_name(column: &Expr) -> &str {
+    match column {
+        Expr::Identifier(name) => name.value.as_str(),
+        Expr::CompoundIdentifier(parts) => parts.last().map_or("", |name| name.value.as_str()),
+        _ => "",
+    }
+}
+
 /// The schema of a map's layers, and so the search path.
 const PATH: &str = "public";
 
@@ -329,15 +349,40 @@ fn null(data_type: SqlType) -> Expr {
     }
 }
 
-/// No rows, with the columns that a query names; none where it names not each, or reads nothing that is empty.
+/// Whether a query asks for constraints that a map has none of, such as foreign keys, and for no primary key.
+fn is_of_other_constraints(query: &Query) -> bool {
+    let SetExpr::Select(select) = query.body.as_ref() else {
+        return false;
+    };
+    let mut kinds = Vec::new();
+    let _ = visit_expressions(&select.selection, |found| {
+        if let Expr::BinaryOp { left, op, right } = found
+            && *op == BinaryOperator::Eq
+            && last_name(left) == "contype"
+        {
+            kinds.push(right.to_string());
+        }
+        ControlFlow::<()>::Continue(())
+    });
+    let is_other = |kind: &String| kind.starts_with('\'') && !kind.starts_with("'p'");
+    !kinds.is_empty() && kinds.iter().all(is_other)
+}
+
+/// No rows, with the columns that a query names; none where it names not each, reads nothing that is empty, or asks for
+/// keys.
 pub fn no_rows(statement: &Statement) -> Option<LogicalPlan> {
     let filled = |table: &TableReference| FILLED.contains(&table.table());
-    if tables(statement).iter().all(filled) {
+    let tables = tables(statement);
+    if tables.iter().all(filled) {
         return None;
     }
     let Statement::Query(query) = statement else {
         return None;
     };
+    let mut tables = tables.iter();
+    if tables.any(|table| OF_KEYS.contains(&table.table())) && !is_of_other_constraints(query) {
+        return None;
+    }
     let names = names(query)?.into_iter().enumerate();
     // Postgres lets columns have one name: here each has a table of its own.
     let fields = names.map(|(number, name)| {

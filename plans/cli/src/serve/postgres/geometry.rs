@@ -41,7 +41,7 @@ fn geometry_type() -> Type {
 pub fn as_extended(plan: LogicalPlan) -> Result<LogicalPlan, DataFusionError> {
     let places = 0..plan.schema().fields().len();
     let chosen: Vec<bool> = places.map(|index| is_geometry(&plan, index)).collect();
-    replaced(plan, &chosen, &Extended::function(false))
+    replaced(plan, calling(&Extended::function(false), &chosen))
 }
 
 /// A plan of [`as_extended`] with geometries in hexadecimal, those columns that a client asks for as text.
@@ -55,31 +55,36 @@ pub fn as_text(
     let fields = plan.schema().fields().iter().enumerate();
     let chosen = fields.map(|(index, field)| is_marked(field) && is_text(index));
     let chosen: Vec<bool> = chosen.collect();
-    replaced(plan, &chosen, &Extended::function(true))
+    replaced(plan, calling(&Extended::function(true), &chosen))
 }
 
-/// The plan with what a function makes of its chosen columns in their place, under their names.
+/// What a function makes of chosen columns, for [`replaced`].
+pub fn calling(function: &ScalarUDF, chosen: &[bool]) -> impl Fn(usize, Expr) -> Option<Expr> {
+    move |place, column| chosen[place].then(|| function.call(vec![column]))
+}
+
+/// The plan with what is made of columns, each with its place, in their place and under their names; `None` leaves one as it
+/// is.
 ///
 /// # Errors
 /// What planning says.
 pub fn replaced(
     plan: LogicalPlan,
-    chosen: &[bool],
-    function: &ScalarUDF,
+    made: impl Fn(usize, Expr) -> Option<Expr>,
 ) -> Result<LogicalPlan, DataFusionError> {
-    if !chosen.contains(&true) {
-        return Ok(plan);
-    }
     let schema = Arc::clone(plan.schema());
-    let columns = schema.iter().zip(chosen).map(|((qualifier, field), is)| {
+    let mut columns = Vec::with_capacity(schema.fields().len());
+    let mut is_any = false;
+    for (place, (qualifier, field)) in schema.iter().enumerate() {
         let column = Expr::Column(Column::new(qualifier.cloned(), field.name()));
-        match is {
-            true => function.call(vec![column]).alias(field.name()),
-            false => column,
-        }
-    });
-    let columns: Vec<Expr> = columns.collect();
-    LogicalPlanBuilder::from(plan).project(columns)?.build()
+        let made = made(place, column.clone());
+        is_any |= made.is_some();
+        columns.push(made.map_or(column, |made| made.alias(field.name())));
+    }
+    match is_any {
+        true => LogicalPlanBuilder::from(plan).project(columns)?.build(),
+        false => Ok(plan),
+    }
 }
 
 /// Whether a plan of [`as_extended`] has geometries.

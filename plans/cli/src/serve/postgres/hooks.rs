@@ -4,13 +4,14 @@ use std::sync::Arc;
 
 use async_trait::async_trait;
 use datafusion::common::ParamValues;
+use datafusion::error::DataFusionError;
 use datafusion::execution::context::SQLOptions;
 use datafusion::logical_expr::LogicalPlan;
 use datafusion::prelude::{DataFrame, SessionContext};
 use datafusion::sql::parser::Statement as Parsed;
 use datafusion::sql::sqlparser::ast::{DiscardObject, Set, Statement};
 use datafusion::sql::sqlparser::dialect::PostgreSqlDialect;
-use datafusion::sql::sqlparser::parser::Parser;
+use datafusion::sql::sqlparser::parser::{Parser, ParserError};
 use datafusion_postgres::QueryHook;
 use datafusion_postgres::arrow_pg::datatypes::df::encode_dataframe;
 use datafusion_postgres::hooks::HookClient;
@@ -30,7 +31,7 @@ use crate::serve::postgres::cursors;
 use crate::serve::postgres::functions::SETTINGS;
 use crate::serve::postgres::geometry::{as_extended, as_text, told};
 use crate::serve::postgres::kept::deallocate;
-use crate::serve::postgres::nested::{as_json, as_texts};
+use crate::serve::postgres::nested::{as_json, as_texts, without_bytes};
 use crate::serve::postgres::postgis::with_views;
 use crate::serve::postgres::spatial::in_our_words;
 use crate::serve::postgres::{error, said};
@@ -262,7 +263,7 @@ async fn planned(statement: Statement, context: &SessionContext) -> PgWireResult
         .with_allow_statements(false);
     let plan = plan.and_then(|plan| {
         allowed.verify_plan(&plan)?;
-        as_extended(as_json(as_texts(plan)?)?)
+        without_bytes(as_extended(as_json(as_texts(plan)?)?)?)
     });
     plan.map_err(|error| said(&explained(context, fault_of(&error))))
 }
@@ -322,15 +323,53 @@ impl QueryHook for Reading {
     }
 }
 
-/// An error of the engine as a fault.
-fn fault_in_our_words(error: PgWireError) -> PgWireError {
-    match error {
-        PgWireError::ApiError(inner) => {
-            match inner.downcast::<datafusion::error::DataFusionError>() {
-                Ok(error) => said(&fault_of(&error)),
-                Err(inner) => PgWireError::ApiError(inner),
-            }
+/// An error of the engine, or of the parser, which the library passes on as they are, as a fault with its number.
+pub(super) fn fault_in_our_words(error: PgWireError) -> PgWireError {
+    let inner = match error {
+        PgWireError::ApiError(inner) => inner,
+        other => return other,
+    };
+    let found = match inner.downcast::<ParserError>() {
+        Ok(error) => Ok(Box::new(DataFusionError::from(*error))),
+        Err(inner) => inner.downcast::<DataFusionError>(),
+    };
+    match found {
+        Ok(error) => said(&fault_of(&error)),
+        Err(inner) => PgWireError::ApiError(inner),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used, clippy::panic)]
+    use arrow::error::ArrowError;
+
+    use super::*;
+
+    #[test]
+    fn what_the_parser_and_the_engine_say_has_the_number_that_postgres_has() {
+        let mistyped = Parser::parse_sql(&PostgreSqlDialect {}, "SELEC 1").unwrap_err();
+        let by_nothing = DataFusionError::from(ArrowError::DivideByZero);
+        for (error, code, says) in [
+            (
+                PgWireError::ApiError(Box::new(mistyped)),
+                "42601",
+                "found: SELEC",
+            ),
+            (
+                PgWireError::ApiError(Box::new(by_nothing)),
+                "22012",
+                "Divide by zero",
+            ),
+        ] {
+            let PgWireError::UserError(told) = fault_in_our_words(error) else {
+                panic!("{says} is no fault");
+            };
+            assert_eq!(told.code, code, "{told:?}");
+            assert!(told.message.contains(says), "{told:?}");
         }
-        other => other,
+        let other = PgWireError::ApiError("another error".into());
+        let kept = fault_in_our_words(other).to_string();
+        assert!(kept.contains("another error"), "{kept}");
     }
 }

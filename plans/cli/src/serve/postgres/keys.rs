@@ -54,7 +54,8 @@ pub fn indexes() -> String {
     format!(
         "SELECT CAST(c.oid + {FROM_TABLE_TO_INDEX} AS INT) AS indexrelid, c.oid AS indrelid, \
          CAST(count(*) AS SMALLINT) AS indnatts, CAST(count(*) AS SMALLINT) AS indnkeyatts, {always}{never}\
-         array_agg(a.attnum ORDER BY k.place) AS indkey, '' AS indcollation, '' AS indclass, \
+         array_agg(a.attnum ORDER BY k.place) AS indkey, \
+         array_agg(CAST(0 AS INT)) AS indcollation, array_agg(CAST(0 AS INT)) AS indclass, \
          array_agg(CAST(0 AS SMALLINT)) AS indoption, CAST(NULL AS TEXT) AS indexprs, CAST(NULL AS TEXT) AS indpred, \
          'CREATE UNIQUE INDEX ' || {NAME} || ' ON ' || c.relname || ' USING btree (' \
              || string_agg(a.attname, ', ' ORDER BY k.place) || ')' AS {} \
@@ -162,11 +163,33 @@ fn of_index(column: &Field) -> String {
     format!("CAST({value} AS {kind}) AS {name}")
 }
 
-/// What is asked of a key: rows of the numbers of its columns, or how it would be made, which a column beside it says.
+/// Columns that are vectors in Postgres: it counts their elements from 0.
+const VECTORS: [&str; 4] = ["indclass", "indcollation", "indkey", "indoption"];
+
+/// `generate_subscripts(list, dimension)`: rows of the places of a list's elements.
+fn places(call: &Function) -> Option<Expr> {
+    let FunctionArguments::List(list) = &call.args else {
+        return None;
+    };
+    let [of, dimension] = list.args.as_slice() else {
+        return None;
+    };
+    let of = of.to_string();
+    let length = format!("array_length({of}, {dimension})");
+    let column = of.rsplit('.').next().unwrap_or_default();
+    expression(&match VECTORS.contains(&column) {
+        true => format!("unnest(range(0, {length}))"),
+        false => format!("unnest(generate_series(1, {length}))"),
+    })
+}
+
+/// What is asked of a key: rows of the numbers of its columns, or of their places, or how it would be made, which a column
+/// beside it says.
 pub fn of_key(call: &Function) -> Option<Expr> {
     let name = call.name.0.last()?.as_ident()?;
     let column = match &*name.value.to_lowercase() {
         EXPAND_ARRAY => return expression(&format!("unnest({call})")),
+        "generate_subscripts" => return places(call),
         "pg_get_indexdef" => INDEX,
         "pg_get_constraintdef" => CONSTRAINT,
         _ => return None,

@@ -52,6 +52,7 @@ use crate::serve::maps::{Maps, Opened};
 use crate::serve::patience::{Asked, accept};
 use crate::serve::postgres::answering::{all_rows, bounded, cancelled, never, rows_wanted};
 use crate::serve::postgres::connection::Handlers;
+use crate::serve::postgres::hooks::fault_in_our_words;
 use crate::serve::postgres::startup::{Startup, is_in};
 
 pub use catalog::complete_catalog;
@@ -100,7 +101,7 @@ impl Queries {
     ) -> PgWireResult<(T, Arc<Turn>)> {
         let turn = self.bounds.turn().await.map_err(|fault| said(&fault))?;
         let done = turn.within(work).await.map_err(|fault| said(&fault))?;
-        Ok((done?, turn))
+        Ok((done.map_err(fault_in_our_words)?, turn))
     }
 }
 
@@ -324,7 +325,8 @@ impl QueryParser for Parser {
     {
         let opened = self.opened(client, query).await?;
         let parser = opened.postgres.query_parser();
-        let planned = parser.parse_sql(client, query, types).await?;
+        let planned = parser.parse_sql(client, query, types).await;
+        let planned = planned.map_err(fault_in_our_words)?;
         Ok(planned.map(|(query, plan)| (noted(&query, &opened), plan)))
     }
 

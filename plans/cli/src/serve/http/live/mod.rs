@@ -17,7 +17,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use axum::extract::ws::{Message, WebSocket, WebSocketUpgrade};
-use axum::extract::{Query, State};
+use axum::extract::{Extension, Query, State};
 use axum::http::{HeaderMap, StatusCode, Uri, header};
 use axum::response::{IntoResponse, Response};
 use evermap_schemas::Fault;
@@ -29,7 +29,7 @@ use tokio::time::{Instant, sleep_until, timeout};
 
 use crate::export::Selection;
 use crate::export::foxglove::{Images, Said};
-use crate::serve::access::is_this_machine;
+use crate::serve::access::{Who, is_this_machine};
 use crate::serve::http::{App, Asks, MapOf, Refusal};
 use crate::serve::maps::{Opened, ServedMap};
 
@@ -74,8 +74,9 @@ pub fn token(uri: &Uri) -> Option<String> {
 }
 
 /// Whether a page, by the header `Origin` that browsers send and pages cannot change, may watch: any page may open a
-/// WebSocket to this machine, and would read maps through a person's browser.
-fn may_watch(headers: &HeaderMap, watched: &Watched) -> bool {
+/// WebSocket to this machine, and would read maps through a person's browser. Who has a user's token was given it, whatever
+/// page it is used on; where there are no users, nobody was given one, and any page could make one up.
+fn may_watch(headers: &HeaderMap, has_token: bool) -> bool {
     let Some(origin) = headers.get(header::ORIGIN) else {
         return true;
     };
@@ -84,8 +85,8 @@ fn may_watch(headers: &HeaderMap, watched: &Watched) -> bool {
     let served = headers
         .get(header::HOST)
         .and_then(|host| host.to_str().ok());
-    // Who has a token was given it; a desktop program's page is a file.
-    watched.token.is_some()
+    // A desktop program's page is a file.
+    has_token
         || origin == VIEWER
         || origin == "file://"
         || is_this_machine(host)
@@ -100,10 +101,12 @@ pub async fn watch(
     State(app): State<App>,
     MapOf(map): MapOf,
     Asks(Query(watched)): Asks<Query<Watched>>,
+    Extension(Who(user)): Extension<Who>,
     headers: HeaderMap,
     Asks(upgrade): Asks<WebSocketUpgrade>,
 ) -> Result<Response, Refusal> {
-    if !may_watch(&headers, &watched) {
+    let has_token = user.is_some() && watched.token.is_some();
+    if !may_watch(&headers, has_token) {
         return Ok(StatusCode::FORBIDDEN.into_response());
     }
     let upgrade = upgrade.protocols(protocol::NAMES);

@@ -72,3 +72,45 @@ fn lists_of_what_is_not_there_are_null_and_columns_keep_their_names() {
     assert!(no_rows(&parsed("SELECT * FROM pg_roles")).is_none());
     assert!(no_rows(&parsed("SELECT relname FROM pg_class")).is_none());
 }
+
+#[test]
+fn of_keys_nobody_is_told_that_there_are_none() {
+    let described =
+        "SELECT c.conname FROM pg_constraint c LEFT JOIN pg_description d ON d.objoid = c.oid";
+    for (asked, has_answer) in [
+        ("", false),
+        (" WHERE c.contype = 'p'", false),
+        (" WHERE c.contype = $1", false),
+        (" WHERE c.contype = 'f' OR c.contype = 'p'", false),
+        (" WHERE c.contype = 'f' AND c.conrelid = 7", true),
+        (" WHERE contype = 'f'::TEXT", true),
+    ] {
+        let query = parsed(&format!("{described}{asked}"));
+        assert_eq!(no_rows(&query).is_some(), has_answer, "{query}");
+    }
+    let indexes = parsed("SELECT i.indexrelid FROM pg_index i JOIN pg_opclass o ON true");
+    assert!(no_rows(&indexes).is_none());
+}
+
+#[test]
+fn keys_are_asked_for_in_words_that_are_understood() {
+    for (asked, understood) in [
+        (
+            "generate_subscripts(pg_catalog.pg_index.indkey, $1::INTEGER)",
+            "unnest(range(0, array_length(pg_catalog.pg_index.indkey, $1::INTEGER)))",
+        ),
+        (
+            "pg_catalog.generate_subscripts(conkey, 1)",
+            "unnest(generate_series(1, array_length(conkey, 1)))",
+        ),
+        ("i.indisprimary = 't'", "i.indisprimary = true"),
+        ("indisunique <> 'f'", "indisunique <> false"),
+        ("relname = 't'", "relname = 't'"),
+    ] {
+        let found = in_its_words(parsed(&format!("SELECT {asked} FROM pg_index i")));
+        assert_eq!(
+            found.to_string(),
+            format!("SELECT {understood} FROM pg_index i")
+        );
+    }
+}
