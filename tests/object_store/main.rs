@@ -223,3 +223,38 @@ fn requests_and_answers_that_are_lost_change_nothing() {
         local_layers(folder.path(), &sessions)
     );
 }
+
+/// `#` and `?` would end a name in a URL: another map was written to, and other logs were read.
+#[test]
+fn maps_and_logs_whose_names_have_signs_of_urls_are_others_than_those_without() {
+    let Some(bucket) = Bucket::new("signs", |_: &Request| Fate::Answered) else {
+        return;
+    };
+    let folder = tempfile::tempdir().unwrap();
+    let sessions = drives(folder.path(), 2);
+    for (index, session) in sessions.iter().enumerate() {
+        let name = format!("logs/drive_{index}.mcap");
+        bucket.put(&name, std::fs::read(session).unwrap());
+    }
+    bucket.put("logs/drive_0.mcap%23torn", b"no log".to_vec());
+    let run = |map: &str, logs: &str| {
+        let (map, logs) = (bucket.url(map), bucket.url(logs));
+        let words = ["run", "trajectory", "--progress", "none", "--map", &map];
+        ended(on(&bucket, &[&words[..], &["--sessions", &logs]].concat()))
+    };
+    run("maps/lot", "logs/drive_0.mcap").expect(0);
+    run("maps/lot", "logs/drive_1.mcap").expect(0);
+    run("maps/lot#2", "logs/drive_?.mcap").expect(0);
+    let refused = run("maps/lot", "logs/drive_0.mcap#torn").expect(1).stderr;
+    assert!(refused.contains("drive_0.mcap#torn"), "{refused}");
+
+    let other = bucket.url("maps/lot#2");
+    let layers = on(&bucket, &["layers", "--map", &other, "--format", "json"]);
+    assert_eq!(
+        ended(layers).expect(0).json(),
+        local_layers(folder.path(), &sessions)
+    );
+    ended(on(&bucket, &["gc", "--map", &other, "--keep", "1"])).expect(0);
+    let versions = "SELECT count(*) AS n FROM versions";
+    assert_eq!(asked(&bucket, "sql", &[versions]), json!([{ "n": 2 }]));
+}

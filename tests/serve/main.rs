@@ -171,6 +171,39 @@ fn a_server_stays_at_the_newest_whole_version_where_the_next_is_torn() {
     assert_eq!(said.matches("version 3 is ignored: ").count(), 1, "{said}");
 }
 
+/// By the path that `/maps` gives, and as a schema beside another map's.
+#[test]
+fn a_map_is_reached_by_its_name_whatever_letters_are_in_it() {
+    let folder = tempfile::tempdir().unwrap();
+    let made = map(folder.path());
+    let named = folder.path().join("kärte #2");
+    std::fs::rename(&made, &named).unwrap();
+    let server = Server::start(&named, &[]);
+    let got = |path: &str| {
+        let request =
+            format!("GET {path} HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n\r\n");
+        let mut stream = std::net::TcpStream::connect(&server.http).unwrap();
+        stream.write_all(request.as_bytes()).unwrap();
+        let mut answer = String::new();
+        stream.read_to_string(&mut answer).unwrap();
+        answer
+    };
+    let listed = got("/maps");
+    let body = listed.split_once("\r\n\r\n").unwrap().1;
+    let listed: Value = serde_json::from_str(body).unwrap();
+    let path = "/maps/k%C3%A4rte%20%232/";
+    assert_eq!(listed, json!([{ "name": "kärte #2", "path": path }]));
+    let answer = got(&format!("{path}layers"));
+    assert!(answer.starts_with("HTTP/1.1 200"), "{answer}");
+
+    let other = folder.path().join("other");
+    drive(folder.path(), &other, "wednesday", 25.0);
+    let query = "SELECT count(DISTINCT session) AS n FROM \"kärte #2\".poses";
+    let maps = ["--map", text(&other), "--map", text(&named)];
+    let asked = evermap(&[&["sql", "--format", "json", query][..], &maps].concat());
+    assert_eq!(asked.expect(0).json(), json!([{ "n": 2 }]));
+}
+
 /// As Foxglove does it; those who take nothing cost the server nothing, and others are answered meanwhile.
 #[test]
 fn a_map_is_watched_live() {
