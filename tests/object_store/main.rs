@@ -15,7 +15,7 @@ use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use serde_json::{Value, json};
 
-use server::{Bucket, Fate, Request};
+use server::{Bucket, Fate, Request, put};
 
 /// `evermap` with the bucket within its reach, not yet started.
 fn on(bucket: &Bucket, arguments: &[&str]) -> Command {
@@ -257,4 +257,35 @@ fn maps_and_logs_whose_names_have_signs_of_urls_are_others_than_those_without() 
     ended(on(&bucket, &["gc", "--map", &other, "--keep", "1"])).expect(0);
     let versions = "SELECT count(*) AS n FROM versions";
     assert_eq!(asked(&bucket, "sql", &[versions]), json!([{ "n": 2 }]));
+}
+
+#[test]
+fn a_log_that_is_replaced_during_a_run_on_an_object_store_is_not_mapped_as_the_first() {
+    let folder = tempfile::tempdir().unwrap();
+    let sessions = drives(folder.path(), 2);
+    let [first, second] = [0, 1].map(|index| std::fs::read(&sessions[index]).unwrap());
+    let other = second.clone();
+    let replaced = AtomicUsize::new(0);
+    let replace = move |request: &Request| {
+        // Its digest is taken.
+        if request.puts("maps/lot/logs/") && replaced.fetch_add(1, Ordering::Relaxed) == 0 {
+            put("swapped", "logs/a.mcap", other.clone());
+        }
+        Fate::Answered
+    };
+    let Some(bucket) = Bucket::new("swapped", replace) else {
+        return;
+    };
+    bucket.put("logs/a.mcap", first);
+    let log = [PathBuf::from(bucket.url("logs/a.mcap"))];
+    let told = ended(run_on(&bucket, &log)).expect(1).stderr;
+    assert!(told.contains("the file changed"), "{told}");
+    ended(run_on(&bucket, &log)).expect(0);
+    let one = tempfile::tempdir().unwrap();
+    let a = one.path().join("a.mcap");
+    std::fs::write(&a, second).unwrap();
+    assert_eq!(
+        asked(&bucket, "layers", &[]),
+        local_layers(one.path(), &[a])
+    );
 }
