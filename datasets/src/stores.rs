@@ -335,7 +335,7 @@ async fn at(store: &dyn ObjectStore, path: &Path) -> Result<Vec<ObjectMeta>, Fau
         (Err(_), Some(_)) => Vec::new(),
         (Err(error), None) => return Err(store_fault(&error)),
     };
-    logs.retain(|meta| is_mcap(FilePath::new(meta.location.as_ref())));
+    logs.retain(|meta| is_mcap(FilePath::new::<str>(meta.location.as_ref())));
     match refused.filter(|_| logs.is_empty()) {
         Some(fault) => Err(fault),
         None => Ok(logs),
@@ -344,7 +344,7 @@ async fn at(store: &dyn ObjectStore, path: &Path) -> Result<Vec<ObjectMeta>, Fau
 
 /// The objects that a pattern fits, or the one that is called so.
 async fn matching(store: &dyn ObjectStore, path: &Path) -> Result<Vec<ObjectMeta>, Fault> {
-    let text = path.as_ref();
+    let text: &str = path.as_ref();
     let pattern = glob::Pattern::new(text)
         .map_err(|error| Fault::user(format!("the pattern {text}: {error}")))?;
     let fixed = text.split(['*', '?', '[']).next().unwrap_or_default();
@@ -362,7 +362,7 @@ async fn matching(store: &dyn ObjectStore, path: &Path) -> Result<Vec<ObjectMeta
     let fits = |meta: &ObjectMeta| pattern.matches_with(meta.location.as_ref(), options);
     let fitting: Vec<ObjectMeta> = listed.into_iter().filter(fits).collect();
     Ok(logs_among(fitting, |meta: &ObjectMeta| {
-        FilePath::new(meta.location.as_ref())
+        FilePath::new::<str>(meta.location.as_ref())
     }))
 }
 
