@@ -263,7 +263,8 @@ fn maps_and_logs_whose_names_have_signs_of_urls_are_others_than_those_without() 
 fn a_log_that_is_replaced_during_a_run_on_an_object_store_is_not_mapped_as_the_first() {
     let folder = tempfile::tempdir().unwrap();
     let sessions = drives(folder.path(), 2);
-    let [first, second] = [0, 1].map(|index| std::fs::read(&sessions[index]).unwrap());
+    let [first, second] =
+        [&sessions[0], &sessions[1]].map(|session| std::fs::read(session).unwrap());
     let other = second.clone();
     let replaced = AtomicUsize::new(0);
     let replace = move |request: &Request| {

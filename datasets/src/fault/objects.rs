@@ -21,7 +21,7 @@ pub fn changed() -> Fault {
     Fault::resource(
         "expected the file as it was opened, found another: the file changed while it was read",
     )
-    .next("run again when nothing writes to it")
+    .next("try again when nothing writes to it")
 }
 
 /// What a store said, with what to do next where it says that nobody gave credentials.
