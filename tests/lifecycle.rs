@@ -291,6 +291,65 @@ fn a_run_that_is_killed_while_it_reads_logs_reads_on_where_it_was() {
     assert!(all.len() == 2 && all.contains(&kept[0]), "{kept:?} {all:?}");
 }
 
+/// A run on two logs, `a.mcap` and `b.mcap`, the first of which is disturbed between its digest and its rows.
+fn disturbed(folder: &Path, disturb: impl FnOnce(&Path)) -> Finished {
+    let [small, large, map] = ["a.mcap", "b.mcap", "map"].map(|name| folder.join(name));
+    write_drive(&small, rectangle(40.0, 30.0, 1.0));
+    // Long to read.
+    write_drive_with(&large, rectangle(50.0, 30.0, 1.0), &vec![0; 256 << 20]);
+    let line = ["run", PLAN, "--map", text(&map), "--progress", "none"];
+    let logs = ["--sessions", text(&small), text(&large)];
+    let mut run = command(&[&line[..], &logs].concat());
+    let run = run.stdout(Stdio::null()).stderr(Stdio::piped());
+    let mut run = run.spawn().unwrap();
+    while remembered(&map).is_empty() {
+        assert!(run.try_wait().unwrap().is_none(), "it ended before");
+        std::thread::sleep(Duration::from_millis(1));
+    }
+    assert_eq!(remembered(&map).len(), 1, "it had read both");
+    disturb(&small);
+    run.wait_with_output().unwrap().into()
+}
+
+/// What is mapped would be found done for the first log whenever that comes again.
+#[test]
+fn a_log_that_is_replaced_during_a_run_is_not_mapped_as_the_first() {
+    let folder = tempfile::tempdir().unwrap();
+    let within = |name: &str| folder.path().join(name);
+    let [small, large, map, other] = ["a.mcap", "b.mcap", "map", "other"].map(within);
+    write_drive(&other, rectangle(30.0, 40.0, 1.0));
+    let replace = |log: &Path| std::fs::rename(&other, log).unwrap();
+    let said = disturbed(folder.path(), replace).expect(1).stderr;
+    assert!(
+        said.contains("session a") && said.contains("the file changed"),
+        "{said}"
+    );
+    assert!(!map.join("versions/1.json").exists());
+
+    run(&map, &[&small, &large]).expect(0);
+    let anew = within("anew");
+    run(&anew, &[&small, &large]).expect(0);
+    assert_eq!(digests(&map), digests(&anew));
+}
+
+#[test]
+fn of_a_log_that_grows_during_a_run_is_mapped_what_there_was() {
+    use std::io::Write;
+    let folder = tempfile::tempdir().unwrap();
+    let within = |name: &str| folder.path().join(name);
+    let was = within("was");
+    std::fs::create_dir(&was).unwrap();
+    let grow = |log: &Path| {
+        std::fs::copy(log, was.join("a.mcap")).unwrap();
+        let mut log = std::fs::File::options().append(true).open(log).unwrap();
+        log.write_all(b"what comes next").unwrap();
+    };
+    disturbed(folder.path(), grow).expect(0);
+    let undisturbed = within("undisturbed");
+    run(&undisturbed, &[&was.join("a.mcap"), &within("b.mcap")]).expect(0);
+    assert_eq!(digests(&within("map")), digests(&undisturbed));
+}
+
 /// A run on drives that take a while, by this program or what starts it, once a unit is done.
 fn begun(command: &mut Command, folder: &Path, map: &Path) -> Child {
     let run = ["run", PLAN, "--progress", "none", "--map", text(map)];

@@ -1,5 +1,6 @@
 //! DataFusion's errors as faults with a kind, and faults on their way through DataFusion.
 
+mod objects;
 mod unplanned;
 
 use arrow::datatypes::DataType;
@@ -9,6 +10,8 @@ use datafusion::sql::sqlparser::parser::ParserError;
 use evermap_schemas::{Cell, Fault, Kind, Pose, type_name};
 
 use crate::fault::unplanned::unplanned;
+
+pub use crate::fault::objects::{changed, store_fault, with_credentials};
 
 /// The fault inside, or the best reading of what DataFusion says. A fault that crossed a process border as text is
 /// found again by its code.

@@ -243,7 +243,7 @@ async fn read(part: &LogPart, place: &Place) -> Result<Bytes, Fault> {
             "expected an image inside the file, found none there",
         )));
     }
-    let bytes = fetch(&part.store, &part.meta.location, place.offset..end).await?;
+    let bytes = fetch(&part.store, &part.meta, place.offset..end).await?;
     let (place, size) = (place.clone(), place.size);
     let opened = tokio::task::spawn_blocking(move || match &place.opening {
         Opening::Plain => Ok((bytes, None)),

@@ -11,6 +11,7 @@
 //! Logs are read by ranges of their object store, chunk by chunk; a log without a usable index is read once from its
 //! start to make one. This crate knows no operators and no plans.
 
+pub mod address;
 mod dataset;
 pub mod fault;
 mod images;

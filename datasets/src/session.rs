@@ -11,13 +11,14 @@ use evermap_messages::{MessageType, SchemaError};
 use evermap_schemas::Fault;
 use evermap_schemas::roles::UNTYPED;
 use futures::StreamExt;
-use object_store::{ObjectMeta, ObjectStore, ObjectStoreExt};
+use object_store::{ObjectMeta, ObjectStore};
 
+use crate::fault::{changed, store_fault};
 use crate::log::checksum::Checksum;
 use crate::log::definition::LogChannel;
 use crate::log::index::{DataSum, LogIndex};
 use crate::log::tally::Tally;
-use crate::log::window::store_fault;
+use crate::log::window::get;
 use crate::losses::{Entry, FileLosses, Loss, LossLedger, Reason};
 use crate::manifest::{Roles, Vehicle};
 use crate::stores::LogFile;
@@ -96,18 +97,19 @@ impl Session {
         typed.collect()
     }
 
-    /// The digest of its bytes: BLAKE3 over the contents of its files in order, each preceded by its length. `read` counts
-    /// the bytes as they come. Of files whose checksum of all data nobody has compared, it is.
+    /// The digest of its bytes: BLAKE3 over the contents of its files in order, each preceded by its length. Of a file that
+    /// grows it is that of as much as there was when it was opened. `read` counts the bytes as they come. Of files whose
+    /// checksum of all data nobody has compared, it is.
     ///
     /// # Errors
-    /// A resource fault when a file cannot be read.
+    /// A resource fault when a file cannot be read, or is shorter than it was.
     pub async fn fingerprint(&self, read: &AtomicU64) -> Result<blake3::Hash, Fault> {
         let mut hasher = blake3::Hasher::new();
         for part in &self.parts {
             hasher.update(&part.meta.size.to_le_bytes());
-            let object = part.store.get(&part.meta.location).await;
+            let object = get(&part.store, &part.meta, 0..part.meta.size).await;
             let object = object.map_err(|error| store_fault(&error).at(&part.url))?;
-            let mut stream = object.into_stream();
+            let (mut stream, mut missing) = (object.into_stream(), part.meta.size);
             let mut sum = part.index.sum.map(|sum| (sum, Checksum::default()));
             while let Some(bytes) = stream.next().await {
                 let bytes = bytes.map_err(|error| store_fault(&error).at(&part.url))?;
@@ -117,6 +119,10 @@ impl Session {
                     checksum.add(&bytes[..bytes.len().min(left as usize)]);
                 }
                 read.fetch_add(bytes.len() as u64, Ordering::Relaxed);
+                missing = missing.saturating_sub(bytes.len() as u64);
+            }
+            if missing > 0 {
+                return Err(changed().at(&part.url));
             }
             if let Some((sum, checksum)) = sum {
                 part.compare(&sum, checksum.finish());

@@ -12,8 +12,9 @@ use object_store::path::Path;
 use object_store::{ObjectMeta, ObjectStore, ObjectStoreExt};
 use url::{Position, Url};
 
+use crate::address::url_of;
+use crate::fault::store_fault;
 use crate::log::index::LogIndex;
-use crate::log::window::store_fault;
 
 /// A log's file that was named, or found.
 #[derive(Debug, Clone)]
@@ -65,15 +66,15 @@ impl LogFile {
 /// The files that a path, glob or URL names, in natural order (`x_2` before `x_10`). A folder stands for the MCAP
 /// files in it.
 pub(crate) async fn resolve(runtime: &RuntimeEnv, name: &str) -> Result<Vec<LogFile>, Fault> {
-    let mut found = match Url::parse(name) {
-        Ok(url) if name.contains("://") && url.scheme() != "file" => remote(runtime, &url).await?,
-        Ok(url) if url.scheme() == "file" && name.contains("://") => {
+    let mut found = match url_of(name)? {
+        Some(url) if url.scheme() == "file" => {
             let path = url.to_file_path().map_err(|()| {
                 Fault::user(format!("expected the URL of a local file, found {name}"))
             })?;
             local(runtime, &path.to_string_lossy()).await?
         }
-        _ => local(runtime, name).await?,
+        Some(url) => remote(runtime, &url).await?,
+        None => local(runtime, name).await?,
     };
     if found.is_empty() {
         return Err(
@@ -272,10 +273,15 @@ fn local_paths(name: &str) -> Result<Vec<PathBuf>, Fault> {
             false => files.push(path),
         }
     }
-    if files.iter().any(|path| is_mcap(path)) {
-        files.retain(|path| is_mcap(path));
+    Ok(logs_among(files, PathBuf::as_path))
+}
+
+/// What a pattern found: the MCAP files alone, where there are any among others.
+fn logs_among<T>(mut found: Vec<T>, path: impl Fn(&T) -> &FilePath) -> Vec<T> {
+    if found.iter().any(|file| is_mcap(path(file))) {
+        found.retain(|file| is_mcap(path(file)));
     }
-    Ok(files)
+    found
 }
 
 /// The MCAP files of a folder; where there are none, its bags, so that they are refused with what to do.
@@ -306,38 +312,58 @@ async fn remote(runtime: &RuntimeEnv, url: &Url) -> Result<Vec<LogFile>, Fault> 
     let store_url = ObjectStoreUrl::parse(&url[..Position::BeforePath])
         .map_err(|error| Fault::user(error.to_string()).at(url))?;
     let (store, path) = open_store(runtime, url, &store_url)?;
-    let found = |meta| LogFile::new(&store, &store_url, meta);
-    let text = path.as_ref().to_owned();
-    if !text.contains(['*', '?', '[']) {
-        if let Ok(meta) = store.head(&path).await {
-            return Ok(vec![found(meta)]);
-        }
-        let listed: Vec<ObjectMeta> = store
-            .list_with_delimiter(Some(&path))
-            .await
-            .map_err(|error| store_fault(&error).at(url))?
-            .objects;
-        let logs = listed
-            .into_iter()
-            .filter(|meta| meta.location.as_ref().ends_with(".mcap"));
-        return Ok(logs.map(found).collect());
+    let found = match path.as_ref().contains(['*', '?', '[']) {
+        true => matching(store.as_ref(), &path).await,
+        false => at(store.as_ref(), &path).await,
+    };
+    let found = found.map_err(|fault| fault.at(url))?.into_iter();
+    let file = |meta| LogFile::new(&store, &store_url, meta);
+    Ok(found.map(file).collect())
+}
+
+/// The object of this name, or else the MCAP files of the folder.
+async fn at(store: &dyn ObjectStore, path: &Path) -> Result<Vec<ObjectMeta>, Fault> {
+    let refused = match store.head(path).await {
+        Ok(meta) => return Ok(vec![meta]),
+        Err(object_store::Error::NotFound { .. }) => None,
+        Err(error) => Some(store_fault(&error)),
+    };
+    // Who may not look at an object may still list a folder.
+    let listed = store.list_with_delimiter(Some(path)).await;
+    let mut logs = match (listed, &refused) {
+        (Ok(listed), _) => listed.objects,
+        (Err(_), Some(_)) => Vec::new(),
+        (Err(error), None) => return Err(store_fault(&error)),
+    };
+    logs.retain(|meta| is_mcap(FilePath::new::<str>(meta.location.as_ref())));
+    match refused.filter(|_| logs.is_empty()) {
+        Some(fault) => Err(fault),
+        None => Ok(logs),
     }
-    let pattern = glob::Pattern::new(&text)
+}
+
+/// The objects that a pattern fits, or the one that is called so.
+async fn matching(store: &dyn ObjectStore, path: &Path) -> Result<Vec<ObjectMeta>, Fault> {
+    let text: &str = path.as_ref();
+    let pattern = glob::Pattern::new(text)
         .map_err(|error| Fault::user(format!("the pattern {text}: {error}")))?;
     let fixed = text.split(['*', '?', '[']).next().unwrap_or_default();
     let prefix = fixed.rsplit_once('/').map_or("", |(folder, _)| folder);
-    let prefix = Path::parse(prefix).map_err(|error| Fault::user(error.to_string()).at(url))?;
-    let listed: Vec<ObjectMeta> = store
-        .list(Some(&prefix))
-        .try_collect()
-        .await
-        .map_err(|error| store_fault(&error).at(url))?;
+    let prefix = Path::parse(prefix).map_err(|error| Fault::user(error.to_string()))?;
+    let listed = store.list(Some(&prefix)).try_collect().await;
+    let listed: Vec<ObjectMeta> = listed.map_err(|error| store_fault(&error))?;
+    if let Some(named) = listed.iter().find(|meta| meta.location == *path) {
+        return Ok(vec![named.clone()]);
+    }
     let options = glob::MatchOptions {
         require_literal_separator: true,
         ..glob::MatchOptions::new()
     };
     let fits = |meta: &ObjectMeta| pattern.matches_with(meta.location.as_ref(), options);
-    Ok(listed.into_iter().filter(fits).map(found).collect())
+    let fitting: Vec<ObjectMeta> = listed.into_iter().filter(fits).collect();
+    Ok(logs_among(fitting, |meta: &ObjectMeta| {
+        FilePath::new::<str>(meta.location.as_ref())
+    }))
 }
 
 /// The store of a URL: one that is registered already, else a new one with the environment's credentials, which is

@@ -15,7 +15,7 @@ use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use serde_json::{Value, json};
 
-use server::{Bucket, Fate, Request};
+use server::{Bucket, Fate, Request, put};
 
 /// `evermap` with the bucket within its reach, not yet started.
 fn on(bucket: &Bucket, arguments: &[&str]) -> Command {
@@ -221,5 +221,72 @@ fn requests_and_answers_that_are_lost_change_nothing() {
     assert_eq!(
         asked(&bucket, "layers", &[]),
         local_layers(folder.path(), &sessions)
+    );
+}
+
+/// `#` and `?` would end a name in a URL: another map was written to, and other logs were read.
+#[test]
+fn maps_and_logs_whose_names_have_signs_of_urls_are_others_than_those_without() {
+    let Some(bucket) = Bucket::new("signs", |_: &Request| Fate::Answered) else {
+        return;
+    };
+    let folder = tempfile::tempdir().unwrap();
+    let sessions = drives(folder.path(), 2);
+    for (index, session) in sessions.iter().enumerate() {
+        let name = format!("logs/drive_{index}.mcap");
+        bucket.put(&name, std::fs::read(session).unwrap());
+    }
+    bucket.put("logs/drive_0.mcap%23torn", b"no log".to_vec());
+    let run = |map: &str, logs: &str| {
+        let (map, logs) = (bucket.url(map), bucket.url(logs));
+        let words = ["run", "trajectory", "--progress", "none", "--map", &map];
+        ended(on(&bucket, &[&words[..], &["--sessions", &logs]].concat()))
+    };
+    run("maps/lot", "logs/drive_0.mcap").expect(0);
+    run("maps/lot", "logs/drive_1.mcap").expect(0);
+    run("maps/lot#2", "logs/drive_?.mcap").expect(0);
+    let refused = run("maps/lot", "logs/drive_0.mcap#torn").expect(1).stderr;
+    assert!(refused.contains("drive_0.mcap#torn"), "{refused}");
+
+    let other = bucket.url("maps/lot#2");
+    let layers = on(&bucket, &["layers", "--map", &other, "--format", "json"]);
+    assert_eq!(
+        ended(layers).expect(0).json(),
+        local_layers(folder.path(), &sessions)
+    );
+    ended(on(&bucket, &["gc", "--map", &other, "--keep", "1"])).expect(0);
+    let versions = "SELECT count(*) AS n FROM versions";
+    assert_eq!(asked(&bucket, "sql", &[versions]), json!([{ "n": 2 }]));
+}
+
+#[test]
+fn a_log_that_is_replaced_during_a_run_on_an_object_store_is_not_mapped_as_the_first() {
+    let folder = tempfile::tempdir().unwrap();
+    let sessions = drives(folder.path(), 2);
+    let [first, second] =
+        [&sessions[0], &sessions[1]].map(|session| std::fs::read(session).unwrap());
+    let other = second.clone();
+    let replaced = AtomicUsize::new(0);
+    let replace = move |request: &Request| {
+        // Its digest is taken.
+        if request.puts("maps/lot/logs/") && replaced.fetch_add(1, Ordering::Relaxed) == 0 {
+            put("swapped", "logs/a.mcap", other.clone());
+        }
+        Fate::Answered
+    };
+    let Some(bucket) = Bucket::new("swapped", replace) else {
+        return;
+    };
+    bucket.put("logs/a.mcap", first);
+    let log = [PathBuf::from(bucket.url("logs/a.mcap"))];
+    let told = ended(run_on(&bucket, &log)).expect(1).stderr;
+    assert!(told.contains("the file changed"), "{told}");
+    ended(run_on(&bucket, &log)).expect(0);
+    let one = tempfile::tempdir().unwrap();
+    let a = one.path().join("a.mcap");
+    std::fs::write(&a, second).unwrap();
+    assert_eq!(
+        asked(&bucket, "layers", &[]),
+        local_layers(one.path(), &[a])
     );
 }

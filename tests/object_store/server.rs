@@ -169,13 +169,7 @@ impl Bucket {
 
     /// Puts a file there, past the proxy.
     pub fn put(&self, name: &str, body: Vec<u8>) {
-        let head = format!(
-            "PUT /{}/{name} HTTP/1.1\r\nHost: s3\r\nContent-Length: {}\r\n\r\n",
-            self.name,
-            body.len()
-        );
-        let put = Request { head, body }.forwarded(server().unwrap());
-        assert!(put.starts_with(b"HTTP/1.1 200"));
+        put(&self.name, name, body);
     }
 
     /// The URL of a name in it.
@@ -198,6 +192,16 @@ impl Bucket {
     pub fn created(&self) -> [usize; 2] {
         [0, 1].map(|index| self.created[index].load(Ordering::Relaxed))
     }
+}
+
+/// Puts a file into a bucket, past its proxy.
+pub fn put(bucket: &str, name: &str, body: Vec<u8>) {
+    let head = format!(
+        "PUT /{bucket}/{name} HTTP/1.1\r\nHost: s3\r\nContent-Length: {}\r\n\r\n",
+        body.len()
+    );
+    let put = Request { head, body }.forwarded(server().unwrap());
+    assert!(put.starts_with(b"HTTP/1.1 200"));
 }
 
 struct Proxy {

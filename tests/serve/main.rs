@@ -198,6 +198,31 @@ fn a_version_that_gc_forgets_meanwhile_is_not_answered_in_part() {
     assert!(newest.starts_with("HTTP/1.1 200"), "{newest}");
 }
 
+/// By the path that `/maps` gives, and as a schema beside another map's.
+#[test]
+fn a_map_is_reached_by_its_name_whatever_letters_are_in_it() {
+    let folder = tempfile::tempdir().unwrap();
+    let made = map(folder.path());
+    let named = folder.path().join("kärte #2");
+    std::fs::rename(&made, &named).unwrap();
+    let server = Server::start(&named, &[]);
+    let got = |path: &str| got(&server, path);
+    let listed = got("/maps");
+    let body = listed.split_once("\r\n\r\n").unwrap().1;
+    let listed: Value = serde_json::from_str(body).unwrap();
+    let path = "/maps/k%C3%A4rte%20%232/";
+    assert_eq!(listed, json!([{ "name": "kärte #2", "path": path }]));
+    let answer = got(&format!("{path}layers"));
+    assert!(answer.starts_with("HTTP/1.1 200"), "{answer}");
+
+    let other = folder.path().join("other");
+    drive(folder.path(), &other, "wednesday", 25.0);
+    let query = "SELECT count(DISTINCT session) AS n FROM \"kärte #2\".poses";
+    let maps = ["--map", text(&other), "--map", text(&named)];
+    let asked = evermap(&[&["sql", "--format", "json", query][..], &maps].concat());
+    assert_eq!(asked.expect(0).json(), json!([{ "n": 2 }]));
+}
+
 /// As Foxglove does it; those who take nothing cost the server nothing, and others are answered meanwhile.
 #[test]
 fn a_map_is_watched_live() {

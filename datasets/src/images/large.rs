@@ -111,7 +111,7 @@ impl ImageReader {
         if end > part.meta.size {
             return Ok(Err(outside()));
         }
-        let (pieces, feed) = fed(&part.store, &part.meta.location, place.offset..end);
+        let (pieces, feed) = fed(&part.store, &part.meta, place.offset..end);
         let walk = Walk::new(compression, place.size, pieces);
         let walk = walk.map_err(|(reason, detail)| Fault::data(format!("{reason}: {detail}")));
         Ok(walk.map(|walk| Going {

@@ -106,8 +106,7 @@ async fn checksum_fits(window: &mut Window, unit: &Unit) -> Result<bool, Fault> 
 }
 
 fn window(part: &LogPart) -> Window {
-    let (store, path) = (part.store.clone(), part.meta.location.clone());
-    Window::new(store, path, part.meta.size)
+    Window::new(part.store.clone(), part.meta.clone(), part.meta.size)
 }
 
 async fn head(window: &mut Window, unit: &Unit) -> Result<bytes::Bytes, Fault> {

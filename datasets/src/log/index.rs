@@ -285,7 +285,7 @@ async fn check_kind(store: &Arc<dyn ObjectStore>, meta: &ObjectMeta) -> Result<(
     if meta.size == 0 {
         return Err(Fault::data("expected an MCAP log, found an empty file").at(path));
     }
-    let head = super::window::fetch(store, path, 0..meta.size.min(16)).await?;
+    let head = super::window::fetch(store, meta, 0..meta.size.min(16)).await?;
     if head.starts_with(MAGIC) {
         return Ok(());
     }

@@ -151,7 +151,7 @@ impl<'a> Scan<'a> {
         Self {
             listed,
             collector,
-            window: Window::new(store.clone(), meta.location.clone(), end),
+            window: Window::new(store.clone(), meta.clone(), end),
             losses,
             paces: BTreeMap::new(),
             run: None,

@@ -39,7 +39,7 @@ pub(crate) async fn read(
         return Ok(None);
     }
     let tail_start = meta.size.saturating_sub(TAIL);
-    let tail = fetch(store, &meta.location, tail_start..meta.size).await?;
+    let tail = fetch(store, meta, tail_start..meta.size).await?;
     let footer_start = meta.size - magic - FOOTER;
     let Some(footer) = footer(&tail) else {
         return Ok(None);
@@ -47,7 +47,7 @@ pub(crate) async fn read(
     if footer.summary_start < magic || footer.summary_start >= footer_start {
         return Ok(None);
     }
-    let window = Window::new(store.clone(), meta.location.clone(), meta.size);
+    let window = Window::new(store.clone(), meta.clone(), meta.size);
     let mut window = window.holding(tail_start, tail);
     let section = footer.summary_start..footer_start;
     let Some(found) = Section::read(&mut window, section.clone()).await? else {
@@ -80,7 +80,7 @@ async fn entries_fit(
         if end > meta.size {
             return Ok(false);
         }
-        let head = fetch(store, &meta.location, unit.offset..end).await?;
+        let head = fetch(store, meta, unit.offset..end).await?;
         if frame(&head)
             != unit
                 .length

@@ -7,8 +7,7 @@ use std::sync::Arc;
 use bytes::{Buf, Bytes};
 use datafusion::common::runtime::SpawnedTask;
 use evermap_schemas::Fault;
-use object_store::ObjectStore;
-use object_store::path::Path;
+use object_store::{ObjectMeta, ObjectStore};
 use tokio::sync::mpsc::{Receiver, Sender, channel};
 
 use crate::log::checksum::Checksum;
@@ -166,9 +165,13 @@ impl Pieces {
 pub(crate) type Feed = SpawnedTask<Result<(), Fault>>;
 
 /// Fetches these bytes of an object in a task of its own.
-pub(crate) fn fed(store: &Arc<dyn ObjectStore>, path: &Path, range: Range<u64>) -> (Pieces, Feed) {
+pub(crate) fn fed(
+    store: &Arc<dyn ObjectStore>,
+    meta: &ObjectMeta,
+    range: Range<u64>,
+) -> (Pieces, Feed) {
     let (sender, pieces) = Pieces::channel();
-    let mut window = Window::new(Arc::clone(store), path.clone(), range.end);
+    let mut window = Window::new(Arc::clone(store), meta.clone(), range.end);
     let feed = SpawnedTask::spawn(async move { feed(&mut window, range, sender, None).await });
     (pieces, feed)
 }

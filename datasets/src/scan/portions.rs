@@ -73,7 +73,7 @@ pub(crate) async fn begin(
     pool: Option<Arc<dyn MemoryPool>>,
 ) -> Result<Result<Begun, Damage>, Fault> {
     let start = unit.offset..unit.offset + unit.length.min(HEAD);
-    let bytes = fetch(&part.store, &part.meta.location, start).await?;
+    let bytes = fetch(&part.store, &part.meta, start).await?;
     let found = ChunkHead::parse(&bytes).and_then(|head| {
         let (end, wrong) = head.end(unit.length)?;
         Ok((head, end, wrong))
@@ -83,7 +83,7 @@ pub(crate) async fn begin(
         Err(damage) => return Ok(Err(damage)),
     };
     let data = unit.offset + head.start as u64..unit.offset + end;
-    let (pieces, surveyed) = fed(&part.store, &part.meta.location, data.clone());
+    let (pieces, surveyed) = fed(&part.store, &part.meta, data.clone());
     let claimed = head.clone();
     // Definitions are known from the index: there is no room for them.
     let counted = SpawnedTask::spawn_blocking(move || census(&claimed, wrong, 0, pieces));
@@ -93,7 +93,7 @@ pub(crate) async fn begin(
         Ok(census) => census,
         Err(damage) => return Ok(Err(damage)),
     };
-    let (pieces, feed) = fed(&part.store, &part.meta.location, data);
+    let (pieces, feed) = fed(&part.store, &part.meta, data);
     let walk = match Walk::new(&head.compression, head.size, pieces) {
         Ok(walk) => walk,
         Err(damage) => return Ok(Err(damage)),

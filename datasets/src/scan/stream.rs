@@ -313,7 +313,7 @@ impl Scan {
 
     fn fetch(&self, stretch: &Stretch) -> Fetch {
         let (part, range) = (Arc::clone(&self.worker.part), stretch.range());
-        SpawnedTask::spawn(async move { fetch(&part.store, &part.meta.location, range).await })
+        SpawnedTask::spawn(async move { fetch(&part.store, &part.meta, range).await })
     }
 
     /// Begins to fetch the next stretch, where there is memory for it.

@@ -2,6 +2,7 @@
 
 mod common;
 
+mod addresses;
 mod annotations;
 mod conformance;
 mod conformance_tables;

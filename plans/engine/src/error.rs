@@ -1,12 +1,13 @@
 //! What can go wrong below, as faults with a kind.
 
+use evermap_datasets::fault::with_credentials;
 use evermap_schemas::Fault;
 
 pub use evermap_datasets::fault::{OrFault, external, fault_of, place_in_query};
 
 /// A fault of an object store: what was asked, and what it said.
 pub fn store_fault(error: &object_store::Error, what: &str) -> Fault {
-    Fault::resource(format!("{what}: {error}"))
+    with_credentials(Fault::resource(format!("{what}: {error}")))
 }
 
 /// What a fault says, whoever must act.

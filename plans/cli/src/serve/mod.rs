@@ -37,6 +37,7 @@ use crate::ending::{DONE, Ending};
 use crate::progress::line;
 use crate::serve::access::Access;
 use crate::serve::answer::Bounds;
+use crate::serve::http::page::encoded;
 use crate::serve::maps::Maps;
 use crate::serve::teach::Teaching;
 
@@ -77,7 +78,10 @@ pub async fn serve(args: &ServeArgs) -> Ending {
     line(&format!("Flight SQL:    grpc://{web_address}"));
     let live = access.tls.as_ref().map_or("ws", |_| "wss");
     line(&format!("Foxglove:      {live}://{web_address}/foxglove"));
-    let first = maps.all().next().map_or("", |map| map.name.as_str());
+    let first = maps
+        .all()
+        .next()
+        .map_or_else(String::new, |map| encoded(&map.name));
     line(&format!(
         "Postgres:      postgresql://{postgres_address}/{first}"
     ));

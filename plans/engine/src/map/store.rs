@@ -21,6 +21,7 @@ use std::sync::Arc;
 use std::time::{Duration, Instant, SystemTime};
 
 use bytes::Bytes;
+use evermap_datasets::address::url_of;
 use futures::{StreamExt, TryStreamExt};
 use object_store::path::Path as ObjectPath;
 use object_store::{ObjectMeta, ObjectStore, ObjectStoreExt, PutMode};
@@ -75,17 +76,13 @@ impl Store {
     /// # Errors
     /// A user fault where there is none.
     pub fn name(&self) -> Result<String, Fault> {
-        let path = self.url.path().trim_end_matches('/');
-        let last = match path.rsplit('/').next().unwrap_or_default() {
-            "" => self.url.host_str().unwrap_or_default(),
-            last => last,
-        };
-        let name = last.replace("%20", " ");
-        match name.is_empty() {
-            true => Err(Fault::user(format!("a map at {} has no name", self.url))
-                .next("put it into a folder of its own")),
-            false => Ok(name),
-        }
+        let path = ObjectPath::from_url_path(self.url.path()).unwrap_or_default();
+        let last = path.filename().or_else(|| self.url.host_str());
+        let last = last.filter(|name| !name.is_empty());
+        last.map(str::to_owned).ok_or_else(|| {
+            Fault::user(format!("a map at {} has no name", self.url))
+                .next("put it into a folder of its own")
+        })
     }
 
     /// The object store beneath. Where an artifact is gone, listing what is under its name is an error.
@@ -381,14 +378,12 @@ fn json_bytes<T: Serialize>(value: &T) -> Result<Vec<u8>, Fault> {
 }
 
 fn address_url(address: &str, create: bool) -> Result<Url, Fault> {
-    if address.contains("://") {
-        let slashed = if address.ends_with('/') {
-            address.to_owned()
-        } else {
-            format!("{address}/")
-        };
-        return Url::parse(&slashed)
-            .map_err(|error| Fault::user(format!("{address} is not a URL: {error}")));
+    if let Some(mut url) = url_of(address)? {
+        if !url.path().ends_with('/') {
+            let path = format!("{}/", url.path());
+            url.set_path(&path);
+        }
+        return Ok(url);
     }
     let folder = Path::new(address);
     if !create && !folder.is_dir() {

@@ -21,10 +21,10 @@ use futures::future::BoxFuture;
 use serde_json::Value;
 
 use crate::error::OrFault;
-use crate::fingerprint::open_mapped;
+use crate::fingerprint::UnitLog;
 use crate::locked::locked;
 use crate::map::receipt::Extent;
-use crate::map::store::Store;
+use crate::map::store::{Store, each};
 use crate::nodes::light::LightBatches;
 use crate::nodes::node::{Deal, Duty, Need, ordering};
 use crate::nodes::operator::{Operator, OperatorExec};
@@ -51,7 +51,7 @@ const BATCH_BYTES: u64 = 4 << 20;
 pub struct Builder<'a> {
     tables: Tables<'a>,
     layer: Option<Layer>,
-    opened: Vec<Dataset>,
+    opened: Vec<UnitLog>,
     reader: Option<Arc<ImageReader>>,
     skipped: Arc<Mutex<Losses>>,
     batch_rows: usize,
@@ -85,7 +85,7 @@ impl<'a> Builder<'a> {
         let mut opened = Vec::new();
         for (manifest, log) in unit.logs.iter().zip(&unit.recipe.logs) {
             let runtime = context.runtime_env();
-            opened.push(open_mapped(store, &runtime, manifest, log).await?);
+            opened.push(UnitLog::open(store, &runtime, manifest, log).await?);
         }
         let (mut logs, mut reader) = (BTreeMap::new(), None);
         if let Some(dataset) = joined(&opened) {
@@ -148,6 +148,14 @@ impl<'a> Builder<'a> {
         self.tables.context.task_ctx()
     }
 
+    /// That the logs which were read are those that the recipe names.
+    ///
+    /// # Errors
+    /// As [`UnitLog::still`].
+    pub async fn logs_are_the_same(&self) -> Result<(), Fault> {
+        each(self.opened.iter().map(UnitLog::still)).await.map(drop)
+    }
+
     /// What operators skipped.
     pub fn skipped(&self) -> BTreeMap<String, u64> {
         locked(&self.skipped).0.clone()
@@ -156,7 +164,7 @@ impl<'a> Builder<'a> {
     /// What the logs had lost.
     pub fn log_losses(&self) -> BTreeMap<String, u64> {
         let mut counted = Losses::default();
-        let told = self.opened.iter().flat_map(|dataset| dataset.losses.told());
+        let told = self.opened.iter().flat_map(|log| log.dataset.losses.told());
         told.for_each(|(line, count)| counted.add(line, count));
         counted.0
     }
@@ -318,11 +326,12 @@ fn read_in_order(context: &SessionContext) {
     execution.split_file_groups_by_statistics = true;
 }
 
-/// The sessions of some datasets as one; what scans lose goes to the ledger of the first.
-fn joined(opened: &[Dataset]) -> Option<Dataset> {
-    let mut joined = opened.first()?.clone();
-    for dataset in &opened[1..] {
-        joined.sessions.extend(dataset.sessions.iter().cloned());
+/// The sessions of some logs as one; what scans lose goes to the ledger of the first.
+fn joined(opened: &[UnitLog]) -> Option<Dataset> {
+    let (first, others) = opened.split_first()?;
+    let mut joined = first.dataset.clone();
+    for log in others {
+        joined.sessions.extend(log.dataset.sessions.iter().cloned());
     }
     joined.sessions.sort_by(|a, b| a.name.cmp(&b.name));
     Some(joined)

@@ -37,6 +37,8 @@ impl Unit {
         let write = write(&store, Arc::clone(&plan), &builder);
         let write = tracing::Instrument::instrument(write, span);
         let (temporary, artifact, writing) = told(write, || advanced(share(&plan))).await?;
+        // A receipt says what came of the logs that it names.
+        builder.logs_are_the_same().await?;
         let ran = DisplayableExecutionPlan::with_metrics(plan.as_ref());
         tracing::debug!(unit = %self.label(), "\n{}", ran.indent(false));
         let receipt = Receipt {

@@ -6,7 +6,7 @@ mod given;
 mod heard;
 pub mod live;
 mod metrics;
-mod page;
+pub mod page;
 mod pictures;
 mod refusal;
 mod rows;

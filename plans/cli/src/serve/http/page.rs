@@ -35,13 +35,18 @@ pub async fn page(
 }
 
 /// The address of a map's page.
-fn address_of(map: &str) -> String {
+pub fn address_of(map: &str) -> String {
+    format!("/maps/{}/", encoded(map))
+}
+
+/// The name of a map as a part of a URL.
+pub fn encoded(map: &str) -> String {
     let plain = |byte: &u8| byte.is_ascii_alphanumeric() || b"-._~".contains(byte);
     let encoded = map.as_bytes().iter().map(|byte| match plain(byte) {
         true => char::from(*byte).to_string(),
         false => format!("%{byte:02X}"),
     });
-    format!("/maps/{}/", encoded.collect::<String>())
+    encoded.collect()
 }
 
 /// `GET /page/{file}`: what it is made of.

@@ -14,6 +14,7 @@ use serde_json::{Value, json};
 use crate::earth::Earth;
 use crate::serve::answer::answer;
 use crate::serve::http::formats::{Form, body};
+use crate::serve::http::page::address_of;
 use crate::serve::http::{App, Asks, MapOf, Refusal, has, kept, unchanged};
 use crate::serve::maps::{Opened, ServedMap};
 
@@ -45,8 +46,7 @@ impl Asked {
 /// `GET /maps`: names and paths.
 pub async fn maps(State(app): State<App>) -> Json<Vec<Value>> {
     let maps = app.maps.all();
-    let listed =
-        maps.map(|map| json!({ "name": map.name, "path": format!("/maps/{}/", map.name) }));
+    let listed = maps.map(|map| json!({ "name": map.name, "path": address_of(&map.name) }));
     Json(listed.collect())
 }
 

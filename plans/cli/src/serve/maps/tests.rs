@@ -70,7 +70,7 @@ async fn versions_that_are_gone_and_a_map_made_anew_are_noticed() {
     assert!(gone.contains("no map at"), "{gone}");
     publish(&map, 1, "fewer versions").await;
     let first = newest().await;
-    let of = |opened: &Opened| (opened.version(), opened.reader.map.version.plan.clone());
+    let of = |opened: &Arc<Opened>| (opened.version(), opened.reader.map.version.plan.clone());
     assert_eq!(of(&first), (1, "fewer versions".to_owned()));
     assert!(first.opening > third.opening);
     std::fs::remove_dir_all(&map).unwrap();

@@ -113,3 +113,33 @@ async fn an_artifact_that_is_gone_is_no_empty_folder() {
         assert_eq!(listed(other).await.unwrap(), 0, "{other}");
     }
 }
+
+#[test]
+fn an_address_names_one_map_whatever_signs_are_in_it() {
+    let folder = tempfile::tempdir().unwrap();
+    let named = |address: &str| Store::open(address, true).unwrap();
+    for (last, name) in [
+        ("lot#2", "lot#2"),
+        ("lot?x=1", "lot?x=1"),
+        ("k%C3%A4rte", "kärte"),
+        ("kärte", "kärte"),
+        ("two words", "two words"),
+    ] {
+        let address = format!("file://{}/{last}", folder.path().display());
+        let store = named(&address);
+        assert_eq!(store.name().unwrap(), name);
+        let expected = folder.path().join(name);
+        assert_eq!(store.url().to_file_path().unwrap(), expected);
+        // What a map's files are called is below it, and a unit that is given its URL finds it again.
+        let version = store.url_of("versions/1.json").unwrap();
+        assert_eq!(
+            version.to_file_path().unwrap(),
+            expected.join("versions/1.json")
+        );
+        assert_eq!(named(store.url().as_str()).url(), store.url());
+    }
+    let local = folder.path().join("kärte#1");
+    assert_eq!(named(local.to_str().unwrap()).name().unwrap(), "kärte#1");
+    let fault = Store::open("https://lot.org/map?key=1", true).unwrap_err();
+    assert!(fault.next.contains("%3F"), "{fault}");
+}
