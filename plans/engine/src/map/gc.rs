@@ -10,12 +10,12 @@ use crate::fingerprint;
 use crate::map::lease::{self, Lease};
 use crate::map::newest;
 use crate::map::parts::PARTS;
-use crate::map::receipt::{ARTIFACTS, Artifact, RECEIPTS, Receipt};
+use crate::map::receipt::{Artifact, RECEIPTS, Receipt};
 use crate::map::records::record_version;
 use crate::map::rows::RUNS;
 use crate::map::sealed;
 use crate::map::sound::Sound;
-use crate::map::store::Store;
+use crate::map::store::{ARTIFACTS, Store};
 use crate::map::version::Version;
 
 /// What [`gc`] removed.

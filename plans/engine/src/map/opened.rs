@@ -15,10 +15,10 @@ use crate::error::{OrFault, no_map};
 use crate::fingerprint::{self, open_mapped};
 use crate::map::artifact::read_in_order;
 use crate::map::damage::Damage;
-use crate::map::receipt::{ARTIFACTS, Artifact, RECEIPTS};
+use crate::map::receipt::{Artifact, RECEIPTS};
 use crate::map::rows::{LayerFile, LayerInfo, VersionInfo};
 use crate::map::sound::{Known, Sound};
-use crate::map::store::{Store, each};
+use crate::map::store::{ARTIFACTS, Store, each};
 use crate::map::version::{MappedSession, StoredLayer, Version};
 use crate::map::{lease, local};
 

@@ -9,7 +9,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::digest::digest_of;
 use crate::map::sealed;
-use crate::map::store::Store;
+use crate::map::store::{ARTIFACTS, Store};
 use crate::program::{Scope, Stage};
 use crate::unit::work::NodeWork;
 
@@ -18,9 +18,6 @@ const FORMAT: u32 = 6;
 
 /// Why something is not what would come out today.
 pub const OTHER_FORMAT: &str = "it was made by an evermap whose files have another format";
-
-/// The folder of a map that has artifacts.
-pub const ARTIFACTS: &str = "artifacts";
 
 /// The folder of a map that has receipts.
 pub const RECEIPTS: &str = "receipts";

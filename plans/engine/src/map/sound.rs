@@ -15,8 +15,8 @@ use object_store::path::Path as ObjectPath;
 use crate::fingerprint::FileState;
 use crate::locked::locked;
 use crate::map::damage::{Damage, is_whole};
-use crate::map::receipt::{ARTIFACTS, Artifact, Receipt};
-use crate::map::store::{Store, each};
+use crate::map::receipt::{Artifact, Receipt};
+use crate::map::store::{ARTIFACTS, Store, each};
 
 /// Where it is remembered.
 pub const NAME: &str = "sound.json";

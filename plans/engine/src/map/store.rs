@@ -35,6 +35,7 @@ use crate::map::store::files::Files;
 use evermap_schemas::Fault;
 
 pub use crate::map::local::TEMPORARY;
+pub use files::ARTIFACTS;
 
 mod files;
 

@@ -7,11 +7,11 @@ use evermap_schemas::{Fault, Kind, record};
 
 use crate::map::damage::{Damage, content_damage};
 use crate::map::parts::PARTS;
-use crate::map::receipt::{ARTIFACTS, Artifact, RECEIPTS, Receipt};
+use crate::map::receipt::{Artifact, RECEIPTS, Receipt};
 use crate::map::records::{RecordDamage, record_damage};
 use crate::map::rows::RUNS;
 use crate::map::sealed;
-use crate::map::store::{Store, each};
+use crate::map::store::{ARTIFACTS, Store, each};
 use crate::map::version::Version;
 
 record! {

@@ -16,7 +16,8 @@ use object_store::{
     ObjectStore, PutMultipartOptions, PutOptions, PutPayload, PutResult, RenameOptions, Result,
 };
 
-use crate::map::receipt::ARTIFACTS;
+/// The folder of a map that has artifacts.
+pub const ARTIFACTS: &str = "artifacts";
 
 /// An object store beneath maps.
 #[derive(Debug)]
