@@ -554,6 +554,11 @@ fn twenty_answers_about_one_visit_find_people_better_in_another() {
         run(&plan, &map, &logs);
         if round == 0 {
             is_untaught(&map);
+            // What the page on labels asks of a map of people.
+            let page = evermap_tests::page("docs/labels.md");
+            let mut queries = page.split('"');
+            let asked = queries.find(|text| text.contains("FROM person_questions"));
+            assert!(!rows(&map, None, asked.unwrap()).is_empty());
         }
         let mut found = on_ground(&map);
         found.retain(|one| one.image.0 == JUDGED);

@@ -145,7 +145,7 @@ fn meant(said: &[Answer], sight: Sight<'_>) -> Vec<Option<Person>> {
         params,
     } = sight;
     let found = people(upright, image, detector, params);
-    let mut whom = |answer: &Answer| {
+    let whom = |answer: &Answer| {
         let apart_m = |one: &Person| {
             let [x, y] = one.position;
             (x - answer.at[0]).hypot(y - answer.at[1])
@@ -158,7 +158,7 @@ fn meant(said: &[Answer], sight: Sight<'_>) -> Vec<Option<Person>> {
             None => person_at(upright, image, detector, params, answer.at),
         }
     };
-    said.iter().map(&mut whom).collect()
+    said.iter().map(whom).collect()
 }
 
 /// What an answer teaches, given whom it means, and behind that whom later ones mean.
