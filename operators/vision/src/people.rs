@@ -121,7 +121,7 @@ impl PeopleDetector {
 
 /// How much stronger than their mean the gradients of a block's cells are, by direction.
 fn directions(block: &[f32]) -> [f32; BINS] {
-    let mut sums = [0.0; BINS];
+    let mut sums = [0.0_f32; BINS];
     for cell in block.chunks_exact(BINS) {
         sums.iter_mut()
             .zip(cell)
