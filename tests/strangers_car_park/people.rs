@@ -527,7 +527,6 @@ fn is_untaught(map: &Path) {
         map,
         None,
         "SELECT count(*) AS believed, count(p.person) AS there, count(p.variance) AS taught,
-                (SELECT count(*) FROM people) AS people,
                 max(abs(h.probability - p.probability)) AS apart
          FROM person_hypotheses h LEFT JOIN people p USING (site, session, stamp, camera, person)
          WHERE h.probability >= 0.5",
@@ -535,7 +534,8 @@ fn is_untaught(map: &Path) {
     let number = |name: &str| both[0][name].as_f64().unwrap();
     assert!(number("believed") > 50.0, "{both:?}");
     assert_eq!(number("believed"), number("there"));
-    assert_eq!(number("believed"), number("people"));
+    let people = rows(map, None, "SELECT count(*) AS n FROM people");
+    assert_eq!(number("believed"), people[0]["n"].as_f64().unwrap());
     assert_eq!((number("taught"), number("apart")), (0.0, 0.0));
 }
 
