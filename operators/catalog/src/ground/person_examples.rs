@@ -9,7 +9,8 @@ use evermap_schemas::layers::{FrameImage, PersonExample};
 use evermap_schemas::roles::Anchor;
 use evermap_schemas::{Stamp, record};
 
-use crate::inputs::people::{self as looking, ImageKey, Looking, PERSON, REJECTED, Room, Sight};
+use crate::inputs::painting::ImageKey;
+use crate::inputs::people::{self as looking, Looking, PERSON, REJECTED, Room, Sight};
 use crate::inputs::rig::{self, OfVehicle};
 
 /// See the module's page.

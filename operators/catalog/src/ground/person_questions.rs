@@ -10,7 +10,8 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::inputs::asking::reason;
-use crate::inputs::people::{ImageKey, learnt};
+use crate::inputs::painting::ImageKey;
+use crate::inputs::people::learnt;
 
 /// See the module's page.
 pub struct PersonQuestions;

@@ -7,7 +7,6 @@ use evermap_algorithms::ground::people::{PeopleParams, WindowDetector};
 use evermap_algorithms::ground::projection::GrayView;
 use evermap_algorithms::learning::gaussian_process::LinearProcess;
 use evermap_contract::{Fault, Reason, Sides};
-use evermap_schemas::Stamp;
 use evermap_schemas::layers::{FrameImage, PersonModel};
 use evermap_vision::{Grey, PeopleDetector, decode_grey};
 
@@ -19,8 +18,6 @@ use crate::inputs::rig::OfVehicle;
 pub(crate) const PERSON: &str = "person";
 /// Standing of those that say that somebody is none.
 pub(crate) const REJECTED: &str = "rejected";
-/// An image: session, exposure instant and camera.
-pub(crate) type ImageKey = (String, Stamp, String);
 /// Cameras kept at most, each with tables of some 20 MB.
 const MOST_VIEWS: usize = 16;
 
