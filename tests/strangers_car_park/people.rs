@@ -2,7 +2,10 @@
 
 use std::path::{Path, PathBuf};
 
+use evermap_algorithms::geometry::pose::Pose;
 use evermap_algorithms::geometry::trajectory::StampedPose;
+use evermap_messages::annotation::{Anchor, Annotation, Geometry};
+use evermap_recording::annotations::AnnotationLog;
 use evermap_tests::trajectories::{rows, truth};
 use evermap_tests::{Finished, evermap, plan_command, text};
 use serde_json::Value;
@@ -265,23 +268,14 @@ fn matched<'a>(
     })
 }
 
-#[test]
-fn people_are_found_before_anybody_taught() {
-    let Some(world) = world() else {
-        return;
-    };
-    let folder = tempfile::tempdir().unwrap();
-    let map = folder.path().join("map");
-    let shown = [16, 4, 4];
-    let poses: Vec<String> = SESSIONS
-        .iter()
-        .zip(shown)
-        .map(|(session, every)| poses_of(&world, session, every))
+/// Images of visits, every so manyth, and true poses: steps of a plan.
+fn looked_at(world: &Path, visits: &[(&str, usize)]) -> String {
+    let poses = visits.iter();
+    let poses: Vec<String> = poses
+        .map(|(session, every)| poses_of(world, session, *every))
         .collect();
-    let plan = format!(
-        "plan: found
-steps:
-  images:
+    format!(
+        "  images:
     sql: >
       SELECT f.site, f.session, f.stamp, CAST(0 AS INT UNSIGNED) AS keyframe, f.camera, f.image,
              named_struct('x', x, 'y', y, 'z', z, 'qx', qx, 'qy', qy, 'qz', qz, 'qw', qw) AS map_from_vehicle
@@ -289,66 +283,108 @@ steps:
       ON f.session = v.session AND CAST(f.stamp AS BIGINT) = v.stamp
   poses:
     sql: SELECT DISTINCT site, session, stamp, map_from_vehicle FROM images
-  people: {{ op: people, in: {{ images: images }} }}
+  person_hypotheses: {{ op: person_hypotheses, in: {{ images: images }} }}
+",
+        poses.join(", ")
+    )
+}
+
+/// Runs a plan on logs; what is left out is counted.
+fn run(plan: &Path, map: &Path, logs: &[PathBuf]) {
+    let mut arguments = vec!["--sessions"];
+    arguments.extend(logs.iter().map(|log| text(log)));
+    let ended = plan_command(text(plan), map, "park", &arguments).output();
+    let ended: Finished = ended.unwrap().into();
+    assert!([0, 3].contains(&ended.code), "{}", ended.stderr);
+}
+
+/// An image as the truth calls it.
+fn image_of(row: &Value) -> (String, i64, String) {
+    let camera = row["camera"].as_str().unwrap();
+    let known = ["front", "left", "rear", "right"];
+    let camera = known.into_iter().find(|it| camera.contains(it)).unwrap();
+    let session = row["session"].as_str().unwrap().to_owned();
+    (session, row["at"].as_i64().unwrap(), camera.to_owned())
+}
+
+/// Everybody whom a map found on the ground.
+fn on_ground(map: &Path) -> Vec<Standing> {
+    let query =
+        "SELECT session, CAST(stamp AS BIGINT) AS at, camera, x, y, range_m FROM people_on_ground";
+    let standing = |row: &Value| {
+        let number = |name: &str| row[name].as_f64().unwrap();
+        Standing {
+            image: image_of(row),
+            at: [number("x"), number("y")],
+            range_m: number("range_m"),
+            shown: 1.0,
+        }
+    };
+    rows(map, None, query).iter().map(standing).collect()
+}
+
+/// Everybody who is in an image that was looked at.
+fn in_images_looked_at(world: &Path, map: &Path, sessions: &[&str]) -> Vec<Standing> {
+    let query = "SELECT session, CAST(stamp AS BIGINT) AS at FROM poses";
+    let looked = rows(map, None, query);
+    let looked: std::collections::BTreeSet<i64> = looked
+        .iter()
+        .map(|row| row["at"].as_i64().unwrap())
+        .collect();
+    let mut there = Vec::new();
+    for session in sessions {
+        there.extend(in_images(world, session));
+    }
+    there.retain(|one| looked.contains(&one.image.1));
+    there
+}
+
+/// Ranges in which people are judged (m).
+const RANGES: [(f64, f64); 3] = [(1.5, 4.0), (4.0, 6.0), (6.0, 8.0)];
+
+/// In a range: of people at least half of whom is shown, how far each was found off, or that they were not; of those who were
+/// found, whether they are people.
+fn judged(
+    found: &[Standing],
+    there: &[Standing],
+    (near, far): (f64, f64),
+) -> (Vec<Option<f64>>, Vec<bool>) {
+    let here = |one: &Standing| (near..far).contains(&one.range_m);
+    let visible = matched(there, found).filter(|(one, _)| here(one) && one.shown >= 0.5);
+    let right = matched(found, there).filter(|(one, _)| here(one));
+    (
+        visible.map(|(_, apart)| apart).collect(),
+        right.map(|(_, apart)| apart.is_some()).collect(),
+    )
+}
+
+#[test]
+fn people_are_found_before_anybody_taught() {
+    let Some(world) = world() else {
+        return;
+    };
+    let folder = tempfile::tempdir().unwrap();
+    let map = folder.path().join("map");
+    let visits: Vec<(&str, usize)> = SESSIONS.into_iter().zip([16, 4, 4]).collect();
+    let plan = format!(
+        "plan: found
+steps:
+{}  people: {{ op: people, in: {{ hypotheses: person_hypotheses }} }}
   people_on_ground: {{ op: people_on_ground }}
 write: [poses, people, people_on_ground]
 ",
-        poses.join(", "),
+        looked_at(&world, &visits),
     );
     let path = folder.path().join("found.yaml");
     std::fs::write(&path, plan).unwrap();
-    let logs = SESSIONS.map(|name| session(&world, name));
-    let mut arguments = vec!["--sessions"];
-    arguments.extend(logs.iter().map(|log| text(log)));
-    let ended = plan_command(text(&path), &map, "park", &arguments).output();
-    let ended: Finished = ended.unwrap().into();
-    assert!([0, 3].contains(&ended.code), "{}", ended.stderr);
-
-    let looked = rows(
-        &map,
-        None,
-        "SELECT session, CAST(stamp AS BIGINT) AS at FROM poses",
-    );
-    let stamp = |row: &Value| row["at"].as_i64().unwrap();
-    let looked: std::collections::BTreeSet<i64> = looked.iter().map(stamp).collect();
-    let found = rows(
-        &map,
-        None,
-        "SELECT session, CAST(stamp AS BIGINT) AS at, camera, x, y, range_m FROM people_on_ground",
-    );
-    let found: Vec<Standing> = found
-        .iter()
-        .map(|row| {
-            let number = |name: &str| row[name].as_f64().unwrap();
-            let camera = row["camera"].as_str().unwrap();
-            let known = ["front", "left", "rear", "right"];
-            let camera = known.into_iter().find(|it| camera.contains(it)).unwrap();
-            Standing {
-                image: (
-                    row["session"].as_str().unwrap().to_owned(),
-                    stamp(row),
-                    camera.to_owned(),
-                ),
-                at: [number("x"), number("y")],
-                range_m: number("range_m"),
-                shown: 1.0,
-            }
-        })
-        .collect();
-    let mut there = Vec::new();
-    for session in SESSIONS {
-        there.extend(in_images(&world, session));
-    }
-    there.retain(|one| looked.contains(&one.image.1));
+    run(&path, &map, &SESSIONS.map(|name| session(&world, name)));
+    let found = on_ground(&map);
+    let there = in_images_looked_at(&world, &map, &SESSIONS);
 
     let (mut seen, mut known) = ([0.0; 2], [0.0; 2]);
     let mut off: Vec<f64> = Vec::new();
-    for (near, far) in [(1.5, 4.0), (4.0, 6.0), (6.0, 8.0)] {
-        let here = |one: &Standing| (near..far).contains(&one.range_m);
-        let visible = matched(&there, &found).filter(|(one, _)| here(one) && one.shown >= 0.5);
-        let recall: Vec<Option<f64>> = visible.map(|(_, apart)| apart).collect();
-        let right = matched(&found, &there).filter(|(one, _)| here(one));
-        let right: Vec<bool> = right.map(|(_, apart)| apart.is_some()).collect();
+    for (near, far) in RANGES {
+        let (recall, right) = judged(&found, &there, (near, far));
         let mut apart: Vec<f64> = recall.iter().copied().flatten().collect();
         apart.sort_by(f64::total_cmp);
         let hits = [apart.len(), right.iter().filter(|right| **right).count()];
@@ -372,4 +408,172 @@ write: [poses, people, people_on_ground]
     let median_m = off[off.len() / 2];
     eprintln!("recall {recall:.3}, precision {precision:.3}, median {median_m:.2} m off");
     assert!(recall > 0.6 && precision > 0.75 && median_m < 0.3);
+}
+
+/// The visit that questions are asked about, and the one that is judged.
+const TAUGHT: &str = "revisit_1";
+const JUDGED: &str = "revisit_2";
+
+/// From images and answers to people.
+fn teaching_plan(world: &Path, folder: &Path) -> PathBuf {
+    let plan = format!(
+        "plan: taught
+steps:
+{}  labels:
+    sql: SELECT site, id AS label, kind, act AS standing, stamp AS said, anchor FROM annotations
+  answered_images:
+    sql: >
+      SELECT i.site, i.session, i.stamp, i.keyframe, i.camera, i.image
+      FROM images i
+      JOIN (SELECT DISTINCT site, anchor['session'] AS session, anchor['stamp'] AS stamp, anchor['camera'] AS camera
+            FROM labels WHERE kind = 'person') said
+        ON said.site = i.site AND said.session = i.session AND said.stamp = i.stamp AND said.camera = i.camera
+  person_examples: {{ op: person_examples, in: {{ images: answered_images, labels: labels }} }}
+  person_models: {{ op: person_models, in: {{ examples: person_examples }} }}
+  people: {{ op: people, in: {{ hypotheses: person_hypotheses, models: person_models }} }}
+  people_on_ground: {{ op: people_on_ground }}
+  asked:
+    sql: SELECT * FROM person_hypotheses WHERE session = '{TAUGHT}'
+  person_questions:
+    op: person_questions
+    in: {{ hypotheses: asked, models: person_models, examples: person_examples }}
+write: [poses, person_hypotheses, person_examples, person_models, people, people_on_ground, person_questions]
+",
+        looked_at(world, &[(TAUGHT, 4), (JUDGED, 4)])
+    );
+    let path = folder.join("taught.yaml");
+    std::fs::write(&path, plan).unwrap();
+    path
+}
+
+/// Answers the first questions of a map as the truth has it: a log.
+fn answers(world: &Path, map: &Path, most: usize, path: &Path) {
+    let poses = truth(&world.join(TAUGHT).join("trajectory.tum"));
+    let there = in_images(world, TAUGHT);
+    let query = format!(
+        "SELECT question, session, CAST(stamp AS BIGINT) AS at, camera, x, y FROM person_questions
+         WHERE question <= {most} ORDER BY question"
+    );
+    let asked = rows(map, None, &query);
+    assert_eq!(asked.len(), most);
+    let mut log = AnnotationLog::begin(path, |_| false, "a test").unwrap();
+    let name = path.file_stem().unwrap().to_str().unwrap();
+    for (number, question) in (0..).zip(&asked) {
+        let coordinate = |name: &str| question[name].as_f64().unwrap();
+        let image = image_of(question);
+        let vehicle = poses.iter().find(|pose| pose.stamp_ns == image.1);
+        let vehicle_from_label = Pose::from_yaw(coordinate("x"), coordinate("y"), 0.0);
+        let map_from_label = vehicle.unwrap().pose.compose(&vehicle_from_label);
+        let asked = Standing {
+            at: [map_from_label.translation.x, map_from_label.translation.y],
+            range_m: 0.0,
+            shown: 1.0,
+            image,
+        };
+        let is_person = matched(&[asked], &there).all(|(_, apart)| apart.is_some());
+        let corners = [[0.2, 0.2], [-0.2, 0.2], [-0.2, -0.2], [0.2, -0.2]];
+        let act = Annotation {
+            stamp_ns: 1_800_000_000_000_000_000 + number,
+            author: "ada".into(),
+            sequence: number,
+            id: format!("{name} {number}"),
+            kind: "person".into(),
+            act: String::from(if is_person { "accepted" } else { "rejected" }),
+            map_version: None,
+            geometry: Some(Geometry {
+                shape: "box".into(),
+                points: corners.map(|[x, y]| [x, y, 0.0]).to_vec(),
+                map_from_label: map_from_label.to_array(),
+            }),
+            anchor: Some(Anchor {
+                session: TAUGHT.into(),
+                stamp_ns: question["at"].as_u64().unwrap(),
+                camera: Some(question["camera"].as_str().unwrap().into()),
+                vehicle_from_label: vehicle_from_label.to_array(),
+            }),
+            image: None,
+        };
+        log.say_all(&[act]).unwrap();
+    }
+    log.finish().unwrap();
+}
+
+/// Prints what of the judged visit was found, by range; the harmonic mean of recall and precision over all.
+fn f1(found: &[Standing], there: &[Standing], answered: usize) -> f64 {
+    let (mut seen, mut known) = ([0, 0], [0, 0]);
+    for range in RANGES {
+        let (recall, right) = judged(found, there, range);
+        let hits = recall.iter().flatten().count();
+        let are = right.iter().filter(|right| **right).count();
+        eprintln!(
+            "{answered} answers, {} to {} m: {hits} of {} people found, {are} of {} found are people",
+            range.0,
+            range.1,
+            recall.len(),
+            right.len()
+        );
+        seen = [seen[0] + hits, seen[1] + recall.len()];
+        known = [known[0] + are, known[1] + right.len()];
+    }
+    let [recall, precision] = [seen, known].map(|[of, all]| of as f64 / all as f64);
+    let f1 = 2.0 * recall * precision / (recall + precision);
+    eprintln!("{answered} answers: recall {recall:.3}, precision {precision:.3}, F1 {f1:.3}");
+    f1
+}
+
+/// Without answers the people are those of the untaught detector.
+fn is_untaught(map: &Path) {
+    let both = rows(
+        map,
+        None,
+        "SELECT count(*) AS believed, count(p.person) AS there, count(p.variance) AS taught,
+                max(abs(h.probability - p.probability)) AS apart
+         FROM person_hypotheses h LEFT JOIN people p USING (site, session, stamp, camera, person)
+         WHERE h.probability >= 0.5",
+    );
+    let number = |name: &str| both[0][name].as_f64().unwrap();
+    assert!(number("believed") > 50.0, "{both:?}");
+    assert_eq!(number("believed"), number("there"));
+    let people = rows(map, None, "SELECT count(*) AS n FROM people");
+    assert_eq!(number("believed"), people[0]["n"].as_f64().unwrap());
+    assert_eq!((number("taught"), number("apart")), (0.0, 0.0));
+}
+
+/// Ten questions are answered in each of two rounds, all about one visit; another one is judged.
+#[test]
+fn twenty_answers_about_one_visit_find_people_better_in_another() {
+    let Some(world) = world() else {
+        return;
+    };
+    let folder = tempfile::tempdir().unwrap();
+    let map = folder.path().join("map");
+    let plan = teaching_plan(&world, folder.path());
+    let mut logs = vec![session(&world, TAUGHT), session(&world, JUDGED)];
+    let mut judged = Vec::new();
+    for round in 0..3 {
+        run(&plan, &map, &logs);
+        if round == 0 {
+            is_untaught(&map);
+            // What the page on labels asks of a map of people.
+            let page = evermap_tests::page("docs/labels.md");
+            let mut queries = page.split('"');
+            let asked = queries.find(|text| text.contains("FROM person_questions"));
+            assert!(!rows(&map, None, asked.unwrap()).is_empty());
+        }
+        let mut found = on_ground(&map);
+        found.retain(|one| one.image.0 == JUDGED);
+        let there = in_images_looked_at(&world, &map, &[JUDGED]);
+        judged.push(f1(&found, &there, 10 * round));
+        if round < 2 {
+            let log = folder.path().join(format!("ada_{round}.mcap"));
+            answers(&world, &map, 10, &log);
+            logs.push(log);
+        }
+    }
+    let examples = rows(&map, None, "SELECT count(*) AS n FROM person_examples");
+    assert_eq!(examples[0]["n"], 20);
+    assert!(
+        judged[1] >= judged[0] && judged[2] > judged[0],
+        "{judged:?}"
+    );
 }

@@ -45,6 +45,10 @@ operators! {
         overhead_tiles::OverheadTiles,
         people::People,
         people_on_ground::PeopleOnGround,
+        person_examples::PersonExamples,
+        person_hypotheses::PersonHypotheses,
+        person_models::PersonModels,
+        person_questions::PersonQuestions,
         road_network::RoadNetwork,
         speed_map::SpeedMap,
     }

@@ -1,11 +1,11 @@
-//! People: where they were seen, how often anybody looked, and what that means for how fast to drive.
+//! People: where they were seen, what was learnt of them, how often anybody looked, and what that means for how fast to drive.
 
 use crate::{Stamp, Wkb, record};
 
 record! {
-    /// A person that an image shows.
-    #[layer("people", key(site, session, stamp, camera, person))]
-    pub struct Person {
+    /// Somebody whom an image may show, as a detector has it that nobody here taught.
+    #[layer("person_hypotheses", key(site, session, stamp, camera, person))]
+    pub struct PersonHypothesis {
         /// Site of the map.
         site: String,
         /// Session that was driven.
@@ -35,8 +35,139 @@ record! {
         rectangle: Vec<f64> ["px", "image"],
         /// Score of the detector's window.
         score: f64,
+        /// How probably it is a person, before anybody taught.
+        probability: f64,
+        /// What the window shows, in numbers that mean the same for all windows.
+        description: Vec<f32>,
+    }
+}
+
+record! {
+    /// What somebody said of a window of an image: that it shows a person, or that it does not.
+    #[layer("person_examples", key(site, session, stamp, camera, label))]
+    pub struct PersonExample {
+        /// Site of the map.
+        site: String,
+        /// Session that was driven.
+        session: String,
+        /// Exposure instant of the image.
+        stamp: Stamp ["ns"],
+        /// Camera that took it.
+        camera: String,
+        /// The label that says so.
+        label: String,
+        /// Its standing: `drawn` or `accepted` for a person, `rejected` for what is none.
+        standing: String,
+        /// Where the feet of who is meant are on the plane that the vehicle stands on.
+        x: f64 ["m", "vehicle"],
+        /// Where the feet are.
+        y: f64 ["m", "vehicle"],
+        /// Distance from the camera along the ground.
+        range_m: f64 ["m"],
+        /// How probably it is a person, before anybody taught.
+        probability: f64,
+        /// What the window shows, as `person_hypotheses` has it.
+        description: Vec<f32>,
+    }
+}
+
+record! {
+    /// How answers differ from what an untaught detector of people foretells, by what windows show.
+    #[layer("person_models", key(site))]
+    pub struct PersonModel {
+        /// Site whose answers it was learnt from.
+        site: String,
+        /// Windows of which somebody said that they show a person.
+        accepted: u32,
+        /// Windows of which somebody said that they show none.
+        rejected: u32,
+        /// Mean of the linear function's weights, one for each number of a description.
+        weights: Vec<f64>,
+        /// Variance of each weight before any answer.
+        scale: f64,
+        /// Variance of the noise of an answer.
+        noise: f64,
+        /// A root of the weights' covariance, row by row.
+        spread: Vec<f32>,
+    }
+}
+
+record! {
+    /// A person that an image shows.
+    #[layer("people", key(site, session, stamp, camera, person))]
+    pub struct Person {
+        /// Site of the map.
+        site: String,
+        /// Session that was driven.
+        session: String,
+        /// Exposure instant of the image.
+        stamp: Stamp ["ns"],
+        /// Camera that took it.
+        camera: String,
+        /// Its number among those of the image in `person_hypotheses`.
+        person: u32,
+        /// Where the feet are on the plane that the vehicle stands on.
+        x: f64 ["m", "vehicle"],
+        /// Where the feet are.
+        y: f64 ["m", "vehicle"],
+        /// Height of that plane.
+        z: f64 ["m", "vehicle"],
+        /// Variance of `x`.
+        var_x_m2: f64 ["m²", "vehicle"],
+        /// Covariance of `x` and `y`.
+        cov_xy_m2: f64 ["m²", "vehicle"],
+        /// Variance of `y`.
+        var_y_m2: f64 ["m²", "vehicle"],
+        /// Distance from the camera along the ground.
+        range_m: f64 ["m"],
+        /// Rectangle of the image around the person: least column and row, largest column and row; (0, 0) is the centre of
+        /// the first pixel.
+        rectangle: Vec<f64> ["px", "image"],
+        /// Score of the detector's window.
+        score: f64,
+        /// Mean of the answer to whether it is one: 1 for a person, -1 for none; where much speaks for it, beyond.
+        mean: f64,
+        /// Variance of the mean; null where nobody has taught yet.
+        variance: Option<f64>,
         /// How probably it is a person.
         probability: f64,
+    }
+}
+
+record! {
+    /// Somebody whom an image may show and who is worth asking about.
+    #[layer("person_questions", key(site, question))]
+    pub struct PersonQuestion {
+        /// Site of the map.
+        site: String,
+        /// Counted from 1: which to ask about first.
+        question: u32,
+        /// Session that was driven.
+        session: String,
+        /// Exposure instant of the image.
+        stamp: Stamp ["ns"],
+        /// Camera that took it.
+        camera: String,
+        /// Its number among those of the image in `person_hypotheses`.
+        person: u32,
+        /// Where the feet are on the plane that the vehicle stands on.
+        x: f64 ["m", "vehicle"],
+        /// Where the feet are.
+        y: f64 ["m", "vehicle"],
+        /// Distance from the camera along the ground.
+        range_m: f64 ["m"],
+        /// Rectangle of the image around the person, as `person_hypotheses` has it.
+        rectangle: Vec<f64> ["px", "image"],
+        /// Mean of the answer: 1 for a person, -1 for none.
+        mean: f64,
+        /// Variance of the mean.
+        variance: f64,
+        /// How probably it is a person.
+        probability: f64,
+        /// What the answer would teach when those before are given: change of the probabilities of all, squares added up.
+        gain: f64,
+        /// Why it is asked: `uncertain`, or `unlike every label so far`, whatever it is held for.
+        reason: String,
     }
 }
 

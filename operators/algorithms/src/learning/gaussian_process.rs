@@ -17,6 +17,11 @@ const NOISE_DECADES: [i32; 2] = [-4, 2];
 /// Values by decade.
 const STEPS: i32 = 8;
 
+/// Samples that are weighed as questions, at most: the least certain. The time to weigh them takes the square of it.
+pub(crate) const UNCERTAIN: usize = 500;
+/// Questions, at most: more than a person answers at a sitting.
+pub(crate) const QUESTIONS: usize = 50;
+
 /// Why nothing was learnt.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 pub enum LearningError {

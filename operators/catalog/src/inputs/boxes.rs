@@ -12,6 +12,8 @@ use evermap_contract::Reason;
 use evermap_schemas::Pose;
 use evermap_schemas::layers::{Lane, OverheadTile, PlacedLabel};
 
+use crate::inputs::people::PERSON;
+
 /// Boxes are described by cells of the image: a side of fewer cells than this is too short.
 const LEAST_CELLS: f64 = 4.0;
 /// No box is longer (m): an image is looked at in parts of a hundred metres.
@@ -67,15 +69,15 @@ pub(crate) struct Boxes {
     pub(crate) height_sum_m: f64,
 }
 
-/// What was said of boxes, by kind. Outlines that are no boxes say nothing of where others are, and of several on one place
-/// the one said last holds.
+/// What was said of boxes, by kind. Outlines that are no boxes say nothing of where others are, and neither do people, who
+/// walk; of several on one place the one said last holds.
 pub(crate) fn boxes(
     labels: &[PlacedLabel],
     cell_m: f64,
     skip: &mut impl FnMut(Reason, u64),
 ) -> BTreeMap<String, Boxes> {
     let mut kinds: BTreeMap<&str, Vec<(Example, &PlacedLabel)>> = BTreeMap::new();
-    for label in labels {
+    for label in labels.iter().filter(|label| label.kind != PERSON) {
         match example(label, cell_m) {
             Ok(Some(example)) => kinds
                 .entry(label.kind.as_str())

@@ -1,5 +1,6 @@
 //! Typed rows as the algorithms want them: what several operators read in the same way.
 
+pub(crate) mod asking;
 pub(crate) mod bodies;
 pub(crate) mod boxes;
 pub(crate) mod calibrated;
@@ -14,6 +15,7 @@ pub mod labels;
 pub(crate) mod lenses;
 pub(crate) mod outside;
 pub mod painting;
+pub(crate) mod people;
 pub(crate) mod pixels;
 pub(crate) mod rig;
 pub(crate) mod spheres;

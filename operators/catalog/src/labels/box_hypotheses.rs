@@ -11,6 +11,7 @@ use evermap_schemas::layers::{BoxHypothesis, BoxModel, OverheadTile, PlacedLabel
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+use crate::inputs::asking::reason;
 use crate::inputs::boxes::{LONGEST_M, boxes, mosaic, pose};
 
 /// See the module's page.
@@ -103,14 +104,6 @@ impl Kind {
             geometry: Wkb::polygon(&one.place.corners()),
         };
         (0..).zip(self.taught.weigh(candidates)).map(row).collect()
-    }
-}
-
-/// Why something of this probability is asked.
-fn reason(probability: f64) -> &'static str {
-    match probability {
-        0.25..=0.75 => "uncertain",
-        _ => "unlike every label so far",
     }
 }
 

@@ -1,5 +1,7 @@
 //! Labels: folded, tied to poses, and placed again when the map has moved.
 
+use std::collections::BTreeMap;
+
 use evermap_contract::Losses;
 use evermap_contract::laws::inputs_of;
 use evermap_schemas::layers::{
@@ -329,6 +331,14 @@ fn of_spaces_that_were_drawn_on_one_place_the_one_said_last_holds() {
     assert_eq!(losses.0["parking space that lies on another one"], 1);
 
     // Nor is it learnt twice what the place looks like.
+    assert_eq!(
+        not_learnt(labels)["box of a kind that lies on another one"],
+        1
+    );
+}
+
+/// What `box_models` counts of labels on an image that shows nothing.
+fn not_learnt(labels: Vec<PlacedLabel>) -> BTreeMap<String, u64> {
     let tile = OverheadTile {
         site: "lot".into(),
         zoom: 0,
@@ -346,8 +356,31 @@ fn of_spaces_that_were_drawn_on_one_place_the_one_said_last_holds() {
         inputs_of("labels", labels).unwrap(),
         inputs_of("tiles", vec![tile]).unwrap(),
     ];
-    let (_, losses) = yields::<BoxModel>("box_models", json!({}), inputs);
-    assert_eq!(losses.0["box of a kind that lies on another one"], 1);
+    let (models, losses) = yields::<BoxModel>("box_models", json!({}), inputs);
+    assert!(models.is_empty());
+    losses.0
+}
+
+/// A post that was taken for a person is rejected in two images: neither of them is a box on the floor.
+#[test]
+fn people_are_no_boxes_on_the_floor() {
+    let person = |label: &str, kind: &str| Annotation {
+        kind: kind.into(),
+        ..drawn(label, 7.0, 3.0)
+    };
+    let counted = |kind: &str| {
+        let said = vec![person("one", kind), person("two", kind)];
+        let map = Version::of(drive("a", [0.0, 0.0]), vec![]);
+        let (held, _) = anchors(said, &map, &Version::default(), vec![]);
+        let (labels, _) = placed(held, &map);
+        let count = |reason: &str| not_learnt(labels.clone()).get(reason).copied();
+        [
+            count("box of a kind that lies on another one"),
+            count("drawn box that the overhead image does not show"),
+        ]
+    };
+    assert_eq!(counted("crossing"), [Some(1), Some(1)]);
+    assert_eq!(counted("person"), [None, None]);
 }
 
 #[test]

@@ -17,6 +17,7 @@ mod metric_map;
 mod mosaic;
 mod panoramas;
 mod parameters;
+mod people;
 mod pixels;
 mod recorded_labels;
 mod roads;

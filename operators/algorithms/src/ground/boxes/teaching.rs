@@ -22,15 +22,13 @@ use super::mosaic::{Mosaic, Part};
 use super::scan::{SAME, Scored, apart, scan};
 use super::template::Template;
 use crate::learning::calibration::Calibration;
-use crate::learning::gaussian_process::{LearningError, LinearProcess, Posterior};
+use crate::learning::gaussian_process::{
+    LearningError, LinearProcess, Posterior, QUESTIONS, UNCERTAIN,
+};
 use crate::solving::median::median;
 
 /// A hypothesis that overlaps a rejected box by more than this was answered.
 const ANSWERED: f64 = 0.8;
-/// Hypotheses that are weighed as questions: the least certain. The time to weigh them takes the square of it.
-const UNCERTAIN: usize = 500;
-/// Questions, at most: more than a person answers at a sitting.
-const QUESTIONS: usize = 50;
 
 /// How boxes are found.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]

@@ -5,6 +5,7 @@
 //! | [`upright`] | images as they would be if every person in them stood upright and had one size |
 //! | [`search`] | where a detector of windows finds people, one place for each |
 //! | [`placing`] | how exactly a person is placed, on the ground and in the map |
+//! | [`teaching`] | what answers of people teach about who is found, and what to ask |
 //!
 //! A lens that sees half of the world bends people and lays them on their side; detectors know upright ones. But where a
 //! person stands tells how they appear, so the image is looked at as if on cylinders about the camera, upright on the
@@ -16,6 +17,7 @@
 
 pub mod placing;
 pub mod search;
+pub mod teaching;
 pub mod upright;
 
 #[cfg(test)]
@@ -49,7 +51,8 @@ pub struct PeopleParams {
     /// Height of the ground in the vehicle frame (m): 0 where the frame stands on it, minus the wheel's radius where it is
     /// the axle's.
     pub plane_m: f64,
-    /// What is less probably a person than this is left out.
+    /// What is less probably a person than this, before anybody taught, is left out: who is asked about, and what answers may
+    /// bring back, is more than what is believed.
     #[schemars(range(min = 0.0, max = 1.0))]
     pub least_probability: f64,
 }
@@ -63,7 +66,7 @@ impl Default for PeopleParams {
             height_sd_m: 0.12,
             slope: 0.015,
             plane_m: 0.0,
-            least_probability: 0.5,
+            least_probability: 0.05,
         }
     }
 }
@@ -77,4 +80,8 @@ pub trait WindowDetector {
 
     /// The score of an image that is one window; not a number where it is none.
     fn score(&mut self, window: &upright::Picture) -> f64;
+
+    /// What an image that is one window shows, for who is taught to tell windows apart: as many numbers for each; none where
+    /// it is none.
+    fn describe(&mut self, window: &upright::Picture) -> Vec<f32>;
 }

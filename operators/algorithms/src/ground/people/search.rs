@@ -20,12 +20,15 @@ const GROWS: f64 = 1.3;
 const SAME: [f64; 2] = [0.3, 0.4];
 /// Width of a person over height.
 const SLENDER: f64 = 0.4;
+/// Who is said to be nearer to the camera than this (m), or farther than this times what is looked for, is not looked at.
+const NEAREST_M: f64 = 0.5;
+const FARTHEST: f64 = 2.0;
 /// Rounds of moving, and its first steps: aside and up (m), and of range and height (parts).
 const ROUNDS: usize = 6;
 const STEPS: [f64; 4] = [0.1, 0.05, 0.08, 0.05];
 
 /// A person in an image.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct Person {
     /// Where the feet are in the vehicle frame (m).
     pub position: [f64; 2],
@@ -39,6 +42,8 @@ pub struct Person {
     pub score: f64,
     /// Probability that it is a person.
     pub probability: f64,
+    /// What the window shows, as the detector describes it.
+    pub description: Vec<f32>,
 }
 
 /// How probably a window with a score is a person.
@@ -59,31 +64,52 @@ pub fn people(
         windows.extend(found.into_iter().map(|(at, score)| (stance(at), score)));
     }
     let candidates = one_each(windows, SAME[0], upright.eye_m());
-    let moved = candidates.into_iter().map(|(stance, _)| {
-        let mut search = Search {
-            upright,
-            image,
-            detector,
-            params,
-        };
-        search.likeliest(stance)
-    });
-    let moved = one_each(moved.collect(), SAME[1], upright.eye_m());
-    let people = moved.into_iter().filter_map(|(stance, score)| {
-        Some(Person {
-            position: upright.on_ground(stance.azimuth, stance.range_m),
-            covariance: placing::covariance(upright, &stance, params),
-            range_m: stance.range_m,
-            rectangle: upright.rectangle(&stance, SLENDER * stance.height_m)?,
-            score,
-            probability: probability(score),
-        })
-    });
+    let mut search = Search {
+        upright,
+        image,
+        detector,
+        params,
+    };
+    let moved = candidates.into_iter();
+    let moved = moved.map(|(stance, _)| search.likeliest(stance)).collect();
+    let mut moved = one_each(moved, SAME[1], upright.eye_m());
     let reached = params.nearest_m..=params.farthest_m;
-    let likely = |one: &Person| one.probability >= params.least_probability;
-    people
-        .filter(|one| likely(one) && reached.contains(&one.range_m))
+    moved.retain(|(stance, score)| {
+        probability(*score) >= params.least_probability && reached.contains(&stance.range_m)
+    });
+    let moved = moved.iter();
+    moved
+        .filter_map(|(stance, score)| search.person(stance, *score))
         .collect()
+}
+
+/// The person whom somebody says to stand at a point of the vehicle frame (m), moved to where they are likeliest, whatever
+/// they score; `None` where the image does not show that point.
+pub fn person_at(
+    upright: &Upright,
+    image: &GrayView<'_>,
+    detector: &mut impl WindowDetector,
+    params: &PeopleParams,
+    position: [f64; 2],
+) -> Option<Person> {
+    let [azimuth, range_m] = upright.sight(position);
+    if !(NEAREST_M..=FARTHEST * params.farthest_m).contains(&range_m) {
+        return None;
+    }
+    let mut search = Search {
+        upright,
+        image,
+        detector,
+        params,
+    };
+    let (stance, score) = search.likeliest(Stance {
+        azimuth,
+        range_m,
+        foot_m: 0.0,
+        height_m: params.height_m,
+    });
+    let found = search.person(&stance, score);
+    found.filter(|one| one.score.is_finite())
 }
 
 /// The best of those that show the same, in order of their scores.
@@ -179,6 +205,22 @@ impl<D: WindowDetector> Search<'_, D> {
             }
         }
         (best.0, best.1)
+    }
+
+    /// The person of a window; `None` where the image shows neither feet nor head.
+    fn person(&mut self, stance: &Stance, score: f64) -> Option<Person> {
+        let (upright, width_m) = (self.upright, SLENDER * stance.height_m);
+        let rectangle = upright.rectangle(stance, width_m)?;
+        let window = upright.window(self.image, stance);
+        Some(Person {
+            position: upright.on_ground(stance.azimuth, stance.range_m),
+            covariance: placing::covariance(upright, stance, self.params),
+            range_m: stance.range_m,
+            rectangle,
+            score,
+            probability: probability(score),
+            description: self.detector.describe(&window),
+        })
     }
 
     /// Keeps what is likelier.

@@ -2,7 +2,7 @@
 
 use nalgebra::{Rotation3, UnitQuaternion, Vector3};
 
-use super::search::{people, probability};
+use super::search::{people, person_at, probability};
 use super::upright::{Picture, Upright, WINDOW};
 use super::{PeopleParams, WindowDetector, placing};
 use crate::geometry::camera::Camera;
@@ -93,12 +93,21 @@ impl WindowDetector for Cylinders {
     fn score(&mut self, window: &Picture) -> f64 {
         Self::likeness(window, [0, 0])
     }
+
+    /// The part of the window that is bright.
+    fn describe(&mut self, window: &Picture) -> Vec<f32> {
+        let bright = window.values.iter().filter(|value| **value > 150).count();
+        vec![bright as f32 / window.values.len() as f32]
+    }
 }
 
 #[test]
 fn people_anywhere_in_a_fisheye_image_stand_where_they_are_found() {
     let (camera, pose) = mounted();
-    let params = PeopleParams::default();
+    let params = PeopleParams {
+        least_probability: 0.5,
+        ..PeopleParams::default()
+    };
     let upright = Upright::new(camera, &pose, &params).unwrap();
     // Ahead of the camera, near its image's edges, and far.
     let places = [[1.5, 4.0], [-3.0, 2.5], [4.5, 2.6], [0.2, 8.5]];
@@ -127,6 +136,34 @@ fn people_anywhere_in_a_fisheye_image_stand_where_they_are_found() {
         )
         .is_empty()
     );
+}
+
+/// Who is said to stand somewhere is moved to where they are, described as they would be if they had been found, and described
+/// also where nothing is like a person.
+#[test]
+fn who_is_said_to_stand_somewhere_is_described_there() {
+    let (camera, pose) = mounted();
+    let params = PeopleParams::default();
+    let upright = Upright::new(camera, &pose, &params).unwrap();
+    let pixels = image(&[[1.5, 4.0]]);
+    let view = GrayView::new(SIZE[0], SIZE[1], &pixels).unwrap();
+    let found = people(&upright, &view, &mut Cylinders, &params).remove(0);
+    let at = |place: [f64; 2]| person_at(&upright, &view, &mut Cylinders, &params, place);
+    let said = at([1.6, 4.1]).unwrap();
+    let off_m = (said.position[0] - 1.5).hypot(said.position[1] - 4.0);
+    assert!(off_m < 0.06 * said.range_m + 0.1, "{said:?}");
+    assert!(said.probability > 0.5, "{said:?}");
+    assert!((said.description[0] - found.description[0]).abs() < 0.05);
+    assert!((0.15..0.35).contains(&said.description[0]), "{said:?}");
+    let nobody = at([-3.0, 2.5]).unwrap();
+    assert!(
+        nobody.probability < 1e-3 && nobody.description == [0.0],
+        "{nobody:?}"
+    );
+    // Not in the image, too near, too far.
+    for place in [[1.0, -4.0], [1.0, 1.0], [1.0, 40.0]] {
+        assert_eq!(at(place), None);
+    }
 }
 
 #[test]

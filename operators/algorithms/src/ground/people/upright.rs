@@ -104,6 +104,12 @@ impl Upright {
         [self.eye.x + range_m * cos, self.eye.y + range_m * sin]
     }
 
+    /// In which direction from the camera a point on the ground in the vehicle frame (m) lies (rad), and how far away (m).
+    pub fn sight(&self, [x, y]: [f64; 2]) -> [f64; 2] {
+        let (dx, dy) = (x - self.eye.x, y - self.eye.y);
+        [dy.atan2(dx), dx.hypot(dy)]
+    }
+
     /// The pixel of a point of a cylinder, by direction, range and height above the ground.
     fn pixel(&self, azimuth: f64, range_m: f64, height_m: f64) -> Option<[f64; 2]> {
         let [x, y] = self.on_ground(azimuth, range_m);
