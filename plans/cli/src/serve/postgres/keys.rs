@@ -56,7 +56,7 @@ pub fn indexes() -> String {
          CAST(count(*) AS SMALLINT) AS indnatts, CAST(count(*) AS SMALLINT) AS indnkeyatts, {always}{never}\
          array_agg(a.attnum ORDER BY k.place) AS indkey, \
          array_agg(CAST(0 AS INT)) AS indcollation, array_agg(CAST(0 AS INT)) AS indclass, \
-         array_agg(CAST(0 AS SMALLINT)) AS indoption, CAST(NULL AS TEXT) AS indexprs, CAST(NULL AS TEXT) AS indpred, \
+         array_agg(CAST(k.place * 0 AS SMALLINT)) AS indoption, CAST(NULL AS TEXT) AS indexprs, CAST(NULL AS TEXT) AS indpred, \
          'CREATE UNIQUE INDEX ' || {NAME} || ' ON ' || c.relname || ' USING btree (' \
              || string_agg(a.attname, ', ' ORDER BY k.place) || ')' AS {} \
          FROM pg_catalog.pg_class c JOIN pg_catalog.pg_attribute a ON a.attrelid = c.oid \
