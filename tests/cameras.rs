@@ -12,7 +12,7 @@ use tempfile::TempDir;
 const IMAGE: &str = "sensor_msgs/Image";
 
 /// Sizes of the images: px.
-const SIDE: usize = 64;
+const SIDE: usize = 160;
 
 /// Logs of one camera, `front`, in a folder.
 struct Logs(TempDir);
@@ -103,7 +103,7 @@ const P: [f64; 12] = [
 fn image(is_big_endian: bool) -> Value {
     let value = |at: usize| {
         let (x, y) = (at % SIDE, at / SIDE);
-        let light = (26..38).contains(&x) && (28..36).contains(&y);
+        let light = (60..100).contains(&x) && (70..90).contains(&y);
         let (high, low) = (if light { 200_u8 } else { 20 }, (at * at * 73 % 251) as u8);
         match is_big_endian {
             true => [high, low],
