@@ -171,7 +171,7 @@ impl CameraTopics {
         Ok(names.get(session).cloned().unwrap_or_default())
     }
 
-    /// Without names, for roles that have no images.
+    /// Without names, for roles that have neither images nor calibrations.
     fn unnamed(&self, session: &str) -> CameraNames {
         self.images.get(session).cloned().unwrap_or_default()
     }
@@ -203,9 +203,9 @@ impl LogTable for MessageRole {
         projection: &[usize],
     ) -> Result<Box<dyn RowBuilder>, Fault> {
         let known = Known {
-            cameras: match self.messages.image {
-                Some(_) => self.names.of(&part.session).await?,
-                None => self.names.unnamed(&part.session),
+            cameras: match self.messages.image.is_some() || self.name == cameras::ROLE.name {
+                true => self.names.of(&part.session).await?,
+                false => self.names.unnamed(&part.session),
             },
             robot: match &self.robots {
                 Some(robots) => robots.of(&part.session).await?,

@@ -61,6 +61,19 @@ impl FromMessage for Calibration {
 
     fn from_message(message: &Message<'_>) -> Result<Vec<Self>, String> {
         let fields = &message.fields;
+        let frame = message.frame();
+        let camera = match frame.is_empty() {
+            true => topic_camera(message.topic),
+            false => frame,
+        };
+        // Which topics are left out so is counted where cameras are named.
+        if message
+            .cameras
+            .calibrated_by(message.topic, &camera)
+            .is_some()
+        {
+            return Ok(Vec::new());
+        }
         let size = ["width", "height"].map(|name| pixels(fields, &[name]));
         let region = region(fields, size)?;
         let lens = match (message.cameras.calibrates_rectified(message.topic), region) {
@@ -82,15 +95,11 @@ impl FromMessage for Calibration {
             intrinsics,
             distortion,
         } = lens;
-        let frame = message.frame();
         Ok(vec![Self {
             site: message.site.to_owned(),
             session: message.session.to_owned(),
             stamp: message.stamp(),
-            camera: match frame.is_empty() {
-                true => topic_camera(message.topic),
-                false => frame,
-            },
+            camera,
             width,
             height,
             model,
