@@ -7,7 +7,7 @@ use evermap_engine::error::OrFault;
 use evermap_engine::program::Program;
 use evermap_engine::sql::{Limits, context};
 use evermap_schemas::roles::{
-    CameraNames, Fields, FromMessage, GnssFix, Message, OdometryOf, gnss_fixes,
+    CameraNames, Fields, FromMessage, GnssFix, Message, OdometryOf, ZeroStamp, gnss_fixes,
 };
 use evermap_schemas::{Fault, Stamp};
 use futures::TryStreamExt;
@@ -71,6 +71,7 @@ fn is_no_fix(fields: Fields<'_>) -> bool {
         topic: "",
         log_time: Stamp(0),
         fields,
+        zero: ZeroStamp::default(),
         image: None,
         cameras: &CameraNames::default(),
         robot: &OdometryOf::default(),

@@ -98,7 +98,7 @@ impl FromMessage for Calibration {
         Ok(vec![Self {
             site: message.site.to_owned(),
             session: message.session.to_owned(),
-            stamp: message.stamp(),
+            stamp: message.stamp()?,
             camera,
             width,
             height,
@@ -252,7 +252,7 @@ mod tests {
     use super::*;
     use crate::Stamp;
     use crate::roles::tests::members;
-    use crate::roles::{CameraNames, OdometryOf};
+    use crate::roles::{CameraNames, OdometryOf, ZeroStamp};
 
     fn list(numbers: &[f64]) -> ArrayRef {
         let items = numbers.iter().copied().map(Some);
@@ -296,6 +296,7 @@ mod tests {
             topic: "/front/camera_info",
             log_time: Stamp(1),
             fields: Fields::new(&members, 0),
+            zero: ZeroStamp::default(),
             image: None,
             cameras: &CameraNames::of_images(|_| vec![images]),
             robot: &OdometryOf::default(),

@@ -198,7 +198,7 @@ impl FromMessage for Frame {
         Ok(vec![Self {
             site: message.site.to_owned(),
             session: message.session.to_owned(),
-            stamp: message.stamp(),
+            stamp: message.stamp()?,
             camera,
             topic: message.topic.to_owned(),
             log_time: message.log_time,
@@ -277,7 +277,7 @@ mod tests {
 
     use super::*;
     use crate::roles::tests::members;
-    use crate::roles::{CameraNames, Fields, FoundImage, OdometryOf};
+    use crate::roles::{CameraNames, Fields, FoundImage, OdometryOf, ZeroStamp};
 
     #[test]
     fn formats_are_named_alike() {
@@ -332,6 +332,7 @@ mod tests {
             topic,
             log_time: Stamp(1),
             fields: Fields::new(&members, 0),
+            zero: ZeroStamp::default(),
             image: Some(&FoundImage {
                 place,
                 magic: [0; 8],
