@@ -202,9 +202,8 @@ fn a_twin_without_messages_hides_no_images() {
     assert_eq!(found, expected);
 }
 
-#[test]
-fn samples_are_read_in_the_order_of_bytes_that_their_message_says() {
-    let logs = Logs::new();
+/// Looks for features in an image, and has what is found where that ends so.
+fn features(logs: &Logs, name: &str, image: Value, code: i32) -> (Value, String) {
     let plan = logs.path("plan.yaml");
     let steps = "plan: seen
 steps:
@@ -217,27 +216,47 @@ steps:
 write: [features]
 ";
     std::fs::write(&plan, steps).unwrap();
-    let features = |name: &str, is_big_endian: bool| {
-        let images = ("/front/image", IMAGE, vec![image(is_big_endian)]);
-        let log = logs.write(&format!("{name}.mcap"), &[images]);
-        let map = logs.path(name);
-        let run = [
-            "run",
-            text(&plan),
-            "--map",
-            text(&map),
-            "--progress",
-            "none",
-        ];
-        evermap(&[&run[..], &["--sessions", text(&log)]].concat()).expect(0);
-        let sql = "SELECT u, v, size_px FROM features";
-        let found = evermap(&["sql", "--map", text(&map), "--format", "json", sql]);
-        found.expect(0).json()
-    };
-    let (little, big) = (features("little", false), features("big", true));
+    let log = logs.write(
+        &format!("{name}.mcap"),
+        &[("/front/image", IMAGE, vec![image])],
+    );
+    let map = logs.path(name);
+    let run = [
+        "run",
+        text(&plan),
+        "--map",
+        text(&map),
+        "--progress",
+        "none",
+    ];
+    let ended = evermap(&[&run[..], &["--sessions", text(&log)]].concat()).expect(code);
+    let sql = "SELECT u, v, size_px FROM features";
+    let found = evermap(&["sql", "--map", text(&map), "--format", "json", sql]);
+    (found.expect(0).json(), ended.stderr)
+}
+
+#[test]
+fn samples_are_read_in_the_order_of_bytes_that_their_message_says() {
+    let logs = Logs::new();
+    let (little, _) = features(&logs, "little", image(false), 0);
+    let (big, _) = features(&logs, "big", image(true), 0);
     let found = little[0]["u"].as_array().unwrap().len();
     assert!((1..=8).contains(&found), "{little}");
     assert_eq!(big, little);
+}
+
+#[test]
+fn images_of_fewer_bits_than_their_samples_are_counted() {
+    let logs = Logs::new();
+    let twelve: Vec<u8> = (0..SIDE * SIDE)
+        .flat_map(|at| (at as u16).to_le_bytes())
+        .collect();
+    let mut faint = image(false);
+    faint["data"] = json!(base64(&twelve));
+    let (found, told) = features(&logs, "faint", faint, 3);
+    assert_eq!(found, json!([]));
+    let said = "camera `front` (mono16) does not decode: expected values that fill their 16 bits, found none above 4095";
+    assert!(told.contains(said), "{told}");
 }
 
 #[test]

@@ -11,7 +11,7 @@ use evermap_schemas::layers::{FrameImage, Person};
 use evermap_vision::{Grey, PeopleDetector, decode_grey};
 
 use crate::inputs::calibrated::{Calibrated, Mounted};
-use crate::inputs::pixels::undecoded;
+use crate::inputs::pixels::{left_out, undecoded};
 use crate::inputs::rig::{self, OfVehicle};
 
 /// See the module's page.
@@ -75,7 +75,7 @@ impl Finder {
         room: &mut Room,
     ) -> Result<Vec<Person>, Reason> {
         let undecoded = || undecoded(&image.camera, &image.image.format);
-        decode_grey(bytes, &mut room.grey).map_err(|_| undecoded())?;
+        decode_grey(bytes, &mut room.grey).map_err(|error| left_out(&error, undecoded()))?;
         let Grey {
             width,
             height,
