@@ -385,7 +385,7 @@ mod tests {
     #[test]
     fn images_of_a_second_camera_that_names_the_frame_of_a_first_are_not_read() {
         let pictures = vec!["/left/image", "/right/image"];
-        let read = |topic: &str, names| read(topic, "mono8", 0, names);
+        let read = |topic: &str, names: &CameraNames| read(topic, "mono8", 0, names);
         for calibrated in [
             ["/left/camera_info"].as_slice(),
             &["/right/camera_info", "/left/camera_info"],
