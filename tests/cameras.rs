@@ -1,5 +1,5 @@
 //! Cameras as ROS describes them: which part of a sensor is read, which way its bytes lie, which of several topics has its
-//! images, and which lens those have that were rectified.
+//! images, which lens those have that were rectified, and whose frame they name.
 
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
@@ -10,6 +10,7 @@ use serde_json::{Value, json};
 use tempfile::TempDir;
 
 const IMAGE: &str = "sensor_msgs/Image";
+const TRANSFORM: &str = "foxglove.FrameTransform";
 
 /// Sizes of the images: px.
 const SIDE: usize = 160;
@@ -34,6 +35,7 @@ impl Logs {
             let members = match *schema {
                 IMAGE => image_members(),
                 "sensor_msgs/CameraInfo" => calibration_members(),
+                TRANSFORM => transform_members(),
                 _ => json!({"data": {"type": "string", "contentEncoding": "base64"}}),
             };
             let members = json!({"type": "object", "properties": members}).to_string();
@@ -80,6 +82,15 @@ fn calibration_members() -> Value {
     json!({
         "header": header(), "height": number, "width": number, "distortion_model": {"type": "string"},
         "d": numbers, "k": numbers, "r": numbers, "p": numbers, "roi": object(roi),
+    })
+}
+
+fn transform_members() -> Value {
+    let (number, string) = (json!({"type": "number"}), json!({"type": "string"}));
+    json!({
+        "parent_frame_id": string, "child_frame_id": string,
+        "translation": object(json!({"x": number, "y": number, "z": number})),
+        "rotation": object(json!({"x": number, "y": number, "z": number, "w": number})),
     })
 }
 
@@ -191,9 +202,8 @@ fn a_twin_without_messages_hides_no_images() {
     assert_eq!(found, expected);
 }
 
-#[test]
-fn samples_are_read_in_the_order_of_bytes_that_their_message_says() {
-    let logs = Logs::new();
+/// Looks for features in an image, and has what is found where that ends so.
+fn features(logs: &Logs, name: &str, image: Value, code: i32) -> (Value, String) {
     let plan = logs.path("plan.yaml");
     let steps = "plan: seen
 steps:
@@ -206,27 +216,47 @@ steps:
 write: [features]
 ";
     std::fs::write(&plan, steps).unwrap();
-    let features = |name: &str, is_big_endian: bool| {
-        let images = ("/front/image", IMAGE, vec![image(is_big_endian)]);
-        let log = logs.write(&format!("{name}.mcap"), &[images]);
-        let map = logs.path(name);
-        let run = [
-            "run",
-            text(&plan),
-            "--map",
-            text(&map),
-            "--progress",
-            "none",
-        ];
-        evermap(&[&run[..], &["--sessions", text(&log)]].concat()).expect(0);
-        let sql = "SELECT u, v, size_px FROM features";
-        let found = evermap(&["sql", "--map", text(&map), "--format", "json", sql]);
-        found.expect(0).json()
-    };
-    let (little, big) = (features("little", false), features("big", true));
+    let log = logs.write(
+        &format!("{name}.mcap"),
+        &[("/front/image", IMAGE, vec![image])],
+    );
+    let map = logs.path(name);
+    let run = [
+        "run",
+        text(&plan),
+        "--map",
+        text(&map),
+        "--progress",
+        "none",
+    ];
+    let ended = evermap(&[&run[..], &["--sessions", text(&log)]].concat()).expect(code);
+    let sql = "SELECT u, v, size_px FROM features";
+    let found = evermap(&["sql", "--map", text(&map), "--format", "json", sql]);
+    (found.expect(0).json(), ended.stderr)
+}
+
+#[test]
+fn samples_are_read_in_the_order_of_bytes_that_their_message_says() {
+    let logs = Logs::new();
+    let (little, _) = features(&logs, "little", image(false), 0);
+    let (big, _) = features(&logs, "big", image(true), 0);
     let found = little[0]["u"].as_array().unwrap().len();
     assert!((1..=8).contains(&found), "{little}");
     assert_eq!(big, little);
+}
+
+#[test]
+fn images_of_fewer_bits_than_their_samples_are_counted() {
+    let logs = Logs::new();
+    let twelve: Vec<u8> = (0..SIDE * SIDE)
+        .flat_map(|at| (at as u16).to_le_bytes())
+        .collect();
+    let mut faint = image(false);
+    faint["data"] = json!(base64(&twelve));
+    let (found, told) = features(&logs, "faint", faint, 3);
+    assert_eq!(found, json!([]));
+    let said = "camera `front` (mono16) does not decode: expected values that fill their 16 bits, found none above 4095";
+    assert!(told.contains(said), "{told}");
 }
 
 #[test]
@@ -270,4 +300,123 @@ fn rectified_images_have_the_lens_of_p_and_others_go_before_them() {
     let found = query(&without, &[], LENSES).expect(3);
     assert_eq!(found.json(), json!([]));
     assert!(found.stderr.contains("expected P"), "{}", found.stderr);
+}
+
+/// A plan that reads cameras.
+fn write_plan(logs: &Logs) -> PathBuf {
+    let plan = logs.path("cameras.yaml");
+    let steps = "plan: cameras
+steps:
+  lenses:
+    sql: SELECT site, session, stamp, camera, width FROM calibration
+write: [lenses]
+";
+    std::fs::write(&plan, steps).unwrap();
+    plan
+}
+
+fn check(plan: &Path, log: &Path) -> Finished {
+    evermap(&["check", text(plan), "--sessions", text(log)])
+}
+
+#[test]
+fn of_two_cameras_that_name_one_frame_the_first_is_read_and_the_other_is_counted_once() {
+    let logs = Logs::new();
+    let info = |camera: &'static str, part| {
+        let said = vec![calibration(part, &P), calibration(part, &P)];
+        (camera, "sensor_msgs/CameraInfo", said)
+    };
+    let images = |topic: &'static str| (topic, IMAGE, vec![image(false), image(false)]);
+    // The second of the two comes first in the log, and has another lens.
+    let right = info("/camera/front_right/camera_info", [40, 30, 80, 60]);
+    let left = info("/camera/front/camera_info", [0; 4]);
+    let stereo = [
+        right,
+        left,
+        images("/camera/front_right/image"),
+        images("/camera/front/image"),
+    ];
+    let log = logs.write("stereo.mcap", &stereo);
+    let whole = lens([160, 120], 128.0, [79.5, 59.5], -0.1);
+    let part = lens([80, 60], 128.0, [39.5, 29.5], -0.1);
+    let of = |topic: &str| json!([{"topic": topic, "camera": "front", "format": "mono16", "n": 2}]);
+    let said = "cameras that name the frame of another one on /camera/front_right/camera_info: /camera/front and /camera/front_right are both of frame front: only \
+                the first is read; choose with `roles: frames`";
+    let told = |finished: Finished| {
+        let finished = finished.expect(3);
+        assert!(finished.stderr.contains(said), "{}", finished.stderr);
+        let count = "finished with loss: 1 skipped or lost";
+        assert!(finished.stderr.contains(count), "{}", finished.stderr);
+        finished
+    };
+    assert_eq!(
+        told(query(&log, &[], TOPICS)).json(),
+        of("/camera/front/image")
+    );
+    assert_eq!(told(query(&log, &[], LENSES)).json(), json!([whole]));
+    told(check(&write_plan(&logs), &log));
+    told(evermap(&["inspect", text(&log)]));
+
+    let manifest = logs.path("manifest.yaml");
+    std::fs::write(&manifest, "roles: { frames: /camera/front_right/image }").unwrap();
+    let chosen = ["--manifest", text(&manifest)];
+    let found = query(&log, &chosen, TOPICS).expect(0).json();
+    assert_eq!(found, of("/camera/front_right/image"));
+    assert_eq!(query(&log, &chosen, LENSES).expect(0).json(), json!([part]));
+}
+
+#[test]
+fn range_images_that_are_aligned_to_a_camera_do_not_take_its_name() {
+    let logs = Logs::new();
+    let said = |topic| {
+        (
+            topic,
+            "sensor_msgs/CameraInfo",
+            vec![calibration([0; 4], &P)],
+        )
+    };
+    let images = |topic| (topic, IMAGE, vec![image(false)]);
+    let log = logs.write(
+        "aligned.mcap",
+        &[
+            said("/aligned_depth/camera_info"),
+            said("/color/camera_info"),
+            images("/aligned_depth/image_raw"),
+            images("/color/image_raw"),
+        ],
+    );
+    let of = |topic: &str| json!([{"topic": topic, "camera": "front", "format": "mono16", "n": 1}]);
+    let found = query(&log, &[], TOPICS).expect(0).json();
+    assert_eq!(found, of("/color/image_raw"));
+    let found = query(
+        &log,
+        &[],
+        &TOPICS.replace("FROM frames", "FROM depth_frames"),
+    );
+    assert_eq!(found.expect(0).json(), of("/aligned_depth/image_raw"));
+}
+
+#[test]
+fn a_camera_whose_frame_looks_along_x_is_told() {
+    let logs = Logs::new();
+    let plan = write_plan(&logs);
+    let notes = |name: &str, rotation: [f64; 4]| {
+        let [x, y, z, w] = rotation;
+        let mount = json!({
+            "parent_frame_id": "base_link", "child_frame_id": "front",
+            "translation": {"x": 1.0, "y": 0.0, "z": 1.5}, "rotation": {"x": x, "y": y, "z": z, "w": w},
+        });
+        let said = vec![calibration([0; 4], &P)];
+        let topics = [
+            ("/tf_static", TRANSFORM, vec![mount]),
+            ("/front/camera_info", "sensor_msgs/CameraInfo", said),
+            ("/front/image", IMAGE, vec![image(false)]),
+        ];
+        let log = logs.write(&format!("{name}.mcap"), &topics);
+        let inspected = evermap(&["inspect", text(&log)]).expect(0).stdout;
+        let checked = check(&plan, &log).expect(0).stderr;
+        [inspected, checked].map(|said| said.contains("from straight up: front 0°; images"))
+    };
+    assert_eq!(notes("link", [0.0, 0.0, 0.0, 1.0]), [true, true]);
+    assert_eq!(notes("optical", [-0.5, 0.5, -0.5, 0.5]), [false, false]);
 }

@@ -52,6 +52,9 @@ pub enum Reason {
     /// Entries of a metadata record that plays a role and whose values make no sense, such as a class of a pixel value that
     /// there is not.
     BadEntry,
+    /// A camera whose messages name the frame of another one with pictures: neither its images nor its calibrations are
+    /// read.
+    SameCamera,
 }
 
 impl Reason {
@@ -76,6 +79,7 @@ impl Reason {
             Reason::BadData => "logs with a wrong checksum of their data",
             Reason::OtherParent => "transforms that move the vehicle in another frame",
             Reason::BadEntry => "entries of metadata with invalid values",
+            Reason::SameCamera => "cameras that name the frame of another one",
         }
     }
 }

@@ -9,6 +9,7 @@ use evermap_schemas::{Fault, rows};
 use futures::TryStreamExt;
 
 use crate::fault::OrFault;
+use crate::losses::{Loss, Reason};
 use crate::roles::Topics;
 use crate::roles::ahead::batches;
 use crate::roles::rows::Known;
@@ -33,7 +34,8 @@ pub(super) fn images(sessions: &[Session]) -> Cameras {
     sessions.iter().map(of_session).collect()
 }
 
-/// Reads the names of all sessions, whose images are known.
+/// Reads the names of all sessions, whose images are known. Cameras that are not read, as they have the frame of another
+/// one, are counted once a session.
 pub(super) async fn read(
     topics: &Topics,
     parts: &[Arc<LogPart>],
@@ -51,7 +53,23 @@ pub(super) async fn read(
             }
         }
     }
+    count_doubled(topics, parts, &cameras);
     Ok(cameras)
+}
+
+/// Counts the calibration topics whose camera is another one's, in the first file of each session.
+fn count_doubled(topics: &Topics, parts: &[Arc<LogPart>], cameras: &Cameras) {
+    for (session, names) in cameras {
+        let Some(part) = parts.iter().find(|part| part.session == *session) else {
+            continue;
+        };
+        for topic in topics.get(session).into_iter().flatten() {
+            if let Some(detail) = names.doubled(topic) {
+                let (loss, losses) = (Loss::one(0), &part.losses);
+                losses.note_topic(Reason::SameCamera, topic, 0, loss, detail);
+            }
+        }
+    }
 }
 
 /// The first calibration of a topic in a file.
@@ -61,8 +79,9 @@ async fn first(
     topic: &str,
     cameras: &CameraNames,
 ) -> Result<Option<Calibration>, Fault> {
+    // Without the names so far: of several topics of one camera, each says so.
     let known = Known {
-        cameras: cameras.clone(),
+        cameras: cameras.unnamed(),
         ..Known::default()
     };
     let mut batches = batches::<Calibration>(messages, part, topic, known, 1)?;

@@ -22,7 +22,7 @@ use datafusion::catalog::TableProvider;
 use datafusion::datasource::ViewTable;
 use datafusion::prelude::SessionContext;
 use evermap_schemas::roles::{CameraNames, Messages, Role, Source};
-use evermap_schemas::{Column, Fault, Layer};
+use evermap_schemas::{Column, Fault, Kind, Layer};
 use futures::FutureExt;
 use tokio::sync::OnceCell;
 
@@ -171,7 +171,15 @@ impl CameraTopics {
         Ok(names.get(session).cloned().unwrap_or_default())
     }
 
-    /// Without names, for roles that have no images.
+    /// For the calibrations themselves: a topic that cannot be decoded is lost alone where its rows are read.
+    async fn of_readable(&self, session: &str) -> Result<CameraNames, Fault> {
+        match self.of(session).await {
+            Err(fault) if fault.kind != Kind::Resource => Ok(self.unnamed(session)),
+            found => found,
+        }
+    }
+
+    /// Without names, for roles that have neither images nor calibrations.
     fn unnamed(&self, session: &str) -> CameraNames {
         self.images.get(session).cloned().unwrap_or_default()
     }
@@ -205,6 +213,9 @@ impl LogTable for MessageRole {
         let known = Known {
             cameras: match self.messages.image {
                 Some(_) => self.names.of(&part.session).await?,
+                None if self.name == cameras::ROLE.name => {
+                    self.names.of_readable(&part.session).await?
+                }
                 None => self.names.unnamed(&part.session),
             },
             robot: match &self.robots {

@@ -7,7 +7,7 @@ use arrow::array::{RecordBatch, StructArray};
 use arrow::datatypes::{Field, SchemaRef};
 use evermap_messages::{Decoder, MessageType};
 use evermap_schemas::roles::{
-    CameraNames, Fields, FoundImage, FromMessage, Message, Messages, Motion, OdometryOf,
+    CameraNames, Fields, FoundImage, FromMessage, Message, Messages, Motion, OdometryOf, ZeroStamp,
 };
 use evermap_schemas::{Fault, ImageRef, Stamp};
 
@@ -222,6 +222,7 @@ impl RowBuilder for RoleRows {
             taken.extend(rows.map(|(row, taken)| (taken, topic, row)));
         }
         taken.sort_by_key(|(taken, ..)| taken.order);
+        let zeros: Vec<ZeroStamp> = members.iter().map(ZeroStamp::among).collect();
         let messages: Vec<Message<'_>> = taken
             .iter()
             .map(|(taken, topic, row)| Message {
@@ -230,6 +231,7 @@ impl RowBuilder for RoleRows {
                 topic: &self.topics[*topic].topic,
                 log_time: Stamp(taken.log_time),
                 fields: Fields::new(&members[*topic], *row),
+                zero: zeros[*topic],
                 image: taken.image.as_ref(),
                 cameras: &self.known.cameras,
                 robot: &self.known.robot.odometry,

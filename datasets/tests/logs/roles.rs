@@ -36,7 +36,7 @@ impl FromMessage for Remark {
         Ok(vec![Self {
             site: message.site.to_owned(),
             session: message.session.to_owned(),
-            stamp: message.stamp(),
+            stamp: message.stamp()?,
             words,
         }])
     }

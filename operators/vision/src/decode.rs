@@ -6,14 +6,14 @@
 use std::io::Cursor;
 
 use imagesize::ImageType;
-use png::{Limits, Transformations};
+use png::{BitDepth, Limits, Transformations};
 use zune_jpeg::JpegDecoder;
 use zune_jpeg::zune_core::bytestream::ZCursor;
 use zune_jpeg::zune_core::colorspace::ColorSpace;
 use zune_jpeg::zune_core::options::DecoderOptions;
 
 use crate::grey::{MAX_SCANS, checked_pixels};
-use crate::stored::pnm;
+use crate::stored::{Stored, pnm};
 use crate::{Grey, ImageError, Rgb};
 
 /// Width and height (px) that the header claims; the rest of the bytes is not looked at.
@@ -29,10 +29,10 @@ pub fn image_size(bytes: &[u8]) -> Result<[u32; 2], ImageError> {
 /// used again. After an error its contents mean nothing.
 ///
 /// Grey from colour is luma (Rec. 601, which in a JPEG is stored as such); 16 bits become the upper 8; transparency and
-/// EXIF orientation are ignored.
+/// EXIF orientation are ignored. A picture of 16 bits whose values do not reach beyond 14 is none.
 ///
 /// # Errors
-/// [`ImageError`] for bytes that are no image, too large an image, or one that is cut off or damaged so that not
+/// [`ImageError`] for bytes that are no image, too large an image, one of fewer bits than its samples, or one that is cut off or damaged so that not
 /// every row can be read. (A JPEG damaged in the middle may still decode, with some blocks wrong.)
 pub fn decode_grey(bytes: &[u8], grey: &mut Grey) -> Result<(), ImageError> {
     let header = decodable(bytes)?;
@@ -104,6 +104,10 @@ fn jpeg(
     decoded.map_err(|_| damaged()).map(|()| true)
 }
 
+/// Values of so many bits in samples of 16 leave at most four of the upper eight: too few grey values for a feature, and a
+/// picture of a camera that fills its 16 bits is all but black with no more. (14 bits leave six.)
+const FAINT_BITS: u32 = 12;
+
 /// Values of 8 bits: grey, red, green and blue, or either with transparency behind it.
 struct Pixels {
     channels: usize,
@@ -121,9 +125,23 @@ impl Pixels {
             "png" => png(bytes, header),
             _ => {
                 let (channels, stored) = pnm(bytes, header)?;
-                let data = stored.into_upper_eight();
-                Ok(Self { channels, data })
+                Self::lit(channels, stored)
             }
+        }
+    }
+
+    /// The upper eight bits of values of 16, of so many a pixel, where these are more than the remains of fewer bits. An
+    /// image that is black is one.
+    fn lit(channels: usize, stored: Stored) -> Result<Self, ImageError> {
+        let bits = u16::BITS - stored.largest_of_sixteen(channels).leading_zeros();
+        match bits {
+            1..=FAINT_BITS => Err(ImageError::Faint {
+                most: (1 << bits) - 1,
+            }),
+            _ => Ok(Self {
+                channels,
+                data: stored.into_upper_eight(),
+            }),
         }
     }
 
@@ -144,7 +162,7 @@ fn png(bytes: &[u8], header: &Header) -> Result<Pixels, ImageError> {
         bytes: 8 * checked_pixels(header.width, header.height)? + (1 << 20),
     };
     let mut decoder = png::Decoder::new_with_limits(Cursor::new(bytes), limits);
-    decoder.set_transformations(Transformations::EXPAND | Transformations::STRIP_16);
+    decoder.set_transformations(Transformations::EXPAND);
     let mut reader = decoder.read_info().map_err(|_| damaged())?;
     let info = reader.info();
     if (info.width, info.height) != (header.width, header.height) {
@@ -152,11 +170,9 @@ fn png(bytes: &[u8], header: &Header) -> Result<Pixels, ImageError> {
     }
     let mut data = vec![0; reader.output_buffer_size().ok_or_else(damaged)?];
     reader.next_frame(&mut data).map_err(|_| damaged())?;
-    let (colour, _) = reader.output_color_type();
-    Ok(Pixels {
-        channels: colour.samples(),
-        data,
-    })
+    let (colour, depth) = reader.output_color_type();
+    let stored = Stored::of(depth == BitDepth::Sixteen, data);
+    Pixels::lit(colour.samples(), stored)
 }
 
 pub(crate) struct Header {

@@ -112,6 +112,15 @@ pub enum ImageError {
         /// How many there are.
         found: usize,
     },
+    /// A picture of 16 bits whose values do not reach the upper four: of a camera of 10 or 12 bits, most likely. The upper
+    /// eight hold next to nothing.
+    #[error(
+        "expected values that fill their 16 bits, found none above {most}; record such images shifted to the upper bits, or as 8 bits"
+    )]
+    Faint {
+        /// The most that as many bits hold as the largest value has.
+        most: u16,
+    },
     /// An image of which the stored values are wanted does not store one value per pixel.
     #[error("expected a png or pgm with one value per pixel, found {found}")]
     Values {

@@ -163,7 +163,7 @@ pub(crate) enum Stored {
 }
 
 impl Stored {
-    fn of(deep: bool, bytes: Vec<u8>) -> Self {
+    pub(crate) fn of(deep: bool, bytes: Vec<u8>) -> Self {
         if !deep {
             return Self::Eight(bytes);
         }
@@ -181,6 +181,18 @@ impl Stored {
             Self::Eight(values) => values.into_iter().map(u16::from).collect(),
             Self::Sixteen(values) => values,
         }
+    }
+
+    /// The largest of the values of 16 bits, of so many a pixel, transparency aside; 0 where they have 8.
+    pub(crate) fn largest_of_sixteen(&self, channels: usize) -> u16 {
+        let Self::Sixteen(values) = self else {
+            return 0;
+        };
+        // Grey or three colours, and transparency behind either.
+        let colours = if channels < 3 { 1 } else { 3 };
+        let pixels = values.chunks_exact(channels);
+        let largest = pixels.filter_map(|pixel| pixel[..colours].iter().max());
+        largest.copied().max().unwrap_or(0)
     }
 
     /// The upper eight bits.

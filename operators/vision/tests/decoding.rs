@@ -105,6 +105,31 @@ fn colour_becomes_luma_and_sixteen_bits_their_upper_eight() {
 }
 
 #[test]
+fn values_of_fewer_bits_in_samples_of_sixteen_are_refused_with_the_most_that_they_hold() {
+    let most = |values: [u16; 2]| {
+        let deep = values.map(u16::to_be_bytes).concat();
+        let alpha = [&deep[..2], b"\xff\xff", &deep[2..], b"\xff\xff"].concat();
+        let found = [
+            png_of(2, 1, ColorType::Grayscale, BitDepth::Sixteen, &deep),
+            png_of(2, 1, ColorType::GrayscaleAlpha, BitDepth::Sixteen, &alpha),
+            pnm("P5\n2 1\n65535\n", &deep),
+        ]
+        .map(|bytes| match decode(&bytes) {
+            Ok(_) => None,
+            Err(ImageError::Faint { most }) => Some(most),
+            Err(other) => panic!("{other}"),
+        });
+        assert!(found.iter().all(|most| *most == found[0]), "{found:?}");
+        found[0]
+    };
+    assert_eq!(most([7, 1000]), Some(1023));
+    assert_eq!(most([4095, 0]), Some(4095));
+    assert_eq!(most([0, 4096]), None);
+    // A black image is black in any number of bits.
+    assert_eq!(most([0, 0]), None);
+}
+
+#[test]
 fn a_buffer_is_used_again() {
     let (large, small) = (sample(64, 64), sample(8, 4));
     let mut grey = Grey::default();

@@ -16,7 +16,7 @@ use crate::reader::answered;
 
 /// Frames are known after so many transforms, and cameras after so many images.
 pub(crate) const TRANSFORMS: usize = 20_000;
-const IMAGES: usize = 2_000;
+pub(crate) const IMAGES: usize = 2_000;
 
 /// The coordinate frames of logs, from their first transforms and images.
 #[derive(Debug, Serialize)]
@@ -169,17 +169,18 @@ fn mounted_on(transforms: &[Transform], frame: &str) -> Option<String> {
     Some(at.parent.clone())
 }
 
-/// The cameras of a session, by name.
+/// The cameras of a session, by name, of its first so many images.
 ///
 /// # Errors
 /// A resource fault when a log cannot be read.
 pub(crate) async fn cameras_of(
     context: &SessionContext,
     session: &str,
+    images: usize,
 ) -> Result<BTreeSet<String>, Fault> {
     let session = session.replace('\'', "''");
     let cameras = format!(
-        "SELECT DISTINCT camera FROM (SELECT camera FROM frames WHERE session = '{session}' LIMIT {IMAGES})"
+        "SELECT DISTINCT camera FROM (SELECT camera FROM frames WHERE session = '{session}' LIMIT {images})"
     );
     let cameras = texts_of(context, &cameras).await?.into_iter();
     Ok(cameras.map(|[camera]: [String; 1]| camera).collect())

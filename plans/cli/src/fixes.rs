@@ -6,9 +6,8 @@ use evermap_datasets::Dataset;
 use evermap_engine::error::OrFault;
 use evermap_engine::program::Program;
 use evermap_engine::sql::{Limits, context};
-use evermap_language::Input;
 use evermap_schemas::roles::{
-    CameraNames, Fields, FromMessage, GnssFix, Message, OdometryOf, gnss_fixes,
+    CameraNames, Fields, FromMessage, GnssFix, Message, OdometryOf, ZeroStamp, gnss_fixes,
 };
 use evermap_schemas::{Fault, Stamp};
 use futures::TryStreamExt;
@@ -26,7 +25,11 @@ const FIXES: &str = gnss_fixes::ROLE.name;
 /// A fault of ours.
 pub async fn notes(dataset: &Dataset, program: &Program) -> Result<Vec<String>, Fault> {
     let mut notes = Vec::new();
-    for session in dataset.sessions.iter().filter(|_| is_read_by(program)) {
+    for session in dataset
+        .sessions
+        .iter()
+        .filter(|_| program.reads_source(FIXES))
+    {
         let Some(topic) = session.roles.topics(FIXES).first() else {
             continue;
         };
@@ -43,11 +46,6 @@ pub async fn notes(dataset: &Dataset, program: &Program) -> Result<Vec<String>, 
         }));
     }
     Ok(notes)
-}
-
-fn is_read_by(program: &Program) -> bool {
-    let mut reads = program.stages.iter().flat_map(|stage| &stage.reads);
-    reads.any(|read| matches!(&read.table, Input::Source(name) if name == FIXES))
 }
 
 /// How many messages a topic has, where all of them say that there is no fix.
@@ -73,6 +71,7 @@ fn is_no_fix(fields: Fields<'_>) -> bool {
         topic: "",
         log_time: Stamp(0),
         fields,
+        zero: ZeroStamp::default(),
         image: None,
         cameras: &CameraNames::default(),
         robot: &OdometryOf::default(),

@@ -16,6 +16,7 @@
 
 pub mod annotate;
 pub mod arguments;
+mod camera_frames;
 pub mod commands;
 pub mod contents;
 pub mod coordinate_frames;

@@ -10,7 +10,7 @@ use evermap_schemas::Fault;
 use evermap_schemas::roles::frame_names;
 use serde_json::Value;
 
-use crate::coordinate_frames::cameras_of;
+use crate::coordinate_frames::{IMAGES, cameras_of};
 
 /// The parameter of operators that has a mask for each camera, and what stands for all cameras.
 const MASK: &str = "mask";
@@ -36,7 +36,7 @@ pub async fn warning(masked: &BTreeSet<&str>, dataset: &Dataset) -> Result<Optio
     dataset.register(&context)?;
     let mut cameras = BTreeSet::new();
     for session in &dataset.sessions {
-        match cameras_of(&context, &session.name).await {
+        match cameras_of(&context, &session.name, IMAGES).await {
             Ok(found) => cameras.extend(found),
             Err(_) => return Ok(None),
         }

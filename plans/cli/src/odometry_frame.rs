@@ -19,7 +19,7 @@ use crate::reader::answered;
 const SAME: f64 = 1e-6;
 
 /// Sessions that are looked at, at most: logs of a fleet are alike, and each costs some milliseconds.
-const LOOKED_AT: usize = 16;
+pub(crate) const LOOKED_AT: usize = 16;
 
 /// The frame that the steps of a program take for the vehicle's.
 pub fn vehicle(program: &Program) -> &str {
@@ -45,8 +45,8 @@ pub async fn notes(dataset: &Dataset, vehicle: &str) -> Result<Vec<String>, Faul
         if frame == frame_names::plain(vehicle) {
             continue;
         }
-        let transforms = transforms(&context, &session.name).await;
-        let note = apart(transforms.unwrap_or_default(), &frame, vehicle);
+        let transforms = fixed_transforms(&context, &session.name).await;
+        let note = apart(&transforms.unwrap_or_default(), &frame, vehicle);
         notes.extend(note.map(|note| format!("session {}: {note}", session.name)));
     }
     Ok(notes)
@@ -68,7 +68,14 @@ async fn child_of(context: &SessionContext, session: &Session) -> Option<String>
     (!frame.is_empty()).then(|| frame.to_owned())
 }
 
-async fn transforms(context: &SessionContext, session: &str) -> Result<Vec<Transform>, Fault> {
+/// The fixed transforms of a session, of its first [`TRANSFORMS`].
+///
+/// # Errors
+/// A resource fault when a log cannot be read.
+pub(crate) async fn fixed_transforms(
+    context: &SessionContext,
+    session: &str,
+) -> Result<Vec<Transform>, Fault> {
     let session = quoted(session);
     let fixed = format!(
         "SELECT * FROM (SELECT * FROM transforms WHERE session = '{session}' LIMIT {TRANSFORMS}) WHERE fixed"
@@ -84,25 +91,29 @@ fn quoted(name: &str) -> String {
     name.replace('\'', "''")
 }
 
-/// That odometry is of a frame which these fixed transforms tie to the vehicle's, elsewhere than at it.
-fn apart(transforms: Vec<Transform>, frame: &str, vehicle: &str) -> Option<String> {
-    let called = |name: &str| VehicleFrame {
-        vehicle_frame: name.to_owned(),
+/// The vehicle in a frame (`frame_from_vehicle`), and what the vehicle is called; `None` where no fixed transforms tie
+/// the two.
+pub(crate) fn tied(transforms: &[Transform], frame: &str, vehicle: &str) -> Option<(Pose, String)> {
+    let of = |name: &str| {
+        let vehicle_frame = name.to_owned();
+        footing(transforms.to_vec(), &VehicleFrame { vehicle_frame })
     };
-    let (of_frame, of_vehicle) = (
-        footing(transforms.clone(), &called(frame)),
-        footing(transforms, &called(vehicle)),
-    );
+    let (of_frame, of_vehicle) = (of(frame), of(vehicle));
     if of_frame.root != of_vehicle.root {
         return None;
     }
     let from_root = |found: Option<Pose>| found.unwrap_or_else(Pose::identity);
     let frame_from_root = from_root(of_frame.vehicle_from_root);
     let vehicle_from_root = from_root(of_vehicle.vehicle_from_root);
-    let apart = frame_from_root.compose(&vehicle_from_root.inverse());
+    let frame_from_vehicle = frame_from_root.compose(&vehicle_from_root.inverse());
+    Some((frame_from_vehicle, of_vehicle.vehicle))
+}
+
+/// That odometry is of a frame which these fixed transforms tie to the vehicle's, elsewhere than at it.
+fn apart(transforms: &[Transform], frame: &str, vehicle: &str) -> Option<String> {
+    let (apart, vehicle) = tied(transforms, frame, vehicle)?;
     let [x, y, z, _, _, _, qw] = apart.to_array();
     let (metres, turned) = (x.hypot(y).hypot(z), 2.0 * qw.abs().min(1.0).acos());
-    let vehicle = of_vehicle.vehicle;
     (metres > SAME || turned > SAME.sqrt()).then(|| {
         format!(
             "odometry is of {frame}, {metres:.2} m and {:.1}° from {vehicle}, and read as if it were of {vehicle}; say \
@@ -135,7 +146,7 @@ mod tests {
 
     #[test]
     fn odometry_of_a_frame_elsewhere_on_the_vehicle_is_told_and_of_one_at_it_is_not() {
-        let told = |transforms: &[Transform], frame| apart(transforms.to_vec(), frame, "base_link");
+        let told = |transforms: &[Transform], frame| apart(transforms, frame, "base_link");
         let mast = [
             fixed("base_link", "mast", 0.5),
             fixed("mast", "imu_link", 1.5),

@@ -100,7 +100,7 @@ impl FromMessage for Annotation {
         Ok(vec![Self {
             site: message.site.to_owned(),
             session: message.session.to_owned(),
-            stamp: message.stamp(),
+            stamp: message.stamp()?,
             author: text("author")?,
             sequence: fields.number(&["sequence"]).unwrap_or(0.0) as u64,
             id: text("id")?,
@@ -182,10 +182,9 @@ fn anchor(fields: &Fields<'_>) -> Result<Option<Anchor>, String> {
     let Some(session) = fields.text(&["anchor", "session"]) else {
         return Ok(None);
     };
-    let stamp = fields.stamp_at(&["anchor", "stamp"]);
     Ok(Some(Anchor {
         session,
-        stamp: stamp.ok_or("expected a stamp in anchor.stamp")?,
+        stamp: fields.stamp_of(&["anchor", "stamp"])?,
         camera: fields.text(&["anchor", "camera"]),
         vehicle_from_label: pose(fields, &["anchor", "vehicle_from_label"])?,
     }))

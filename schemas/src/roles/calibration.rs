@@ -61,6 +61,19 @@ impl FromMessage for Calibration {
 
     fn from_message(message: &Message<'_>) -> Result<Vec<Self>, String> {
         let fields = &message.fields;
+        let frame = message.frame();
+        let camera = match frame.is_empty() {
+            true => topic_camera(message.topic),
+            false => frame,
+        };
+        // Which topics are left out so is counted where cameras are named.
+        if message
+            .cameras
+            .calibrated_by(message.topic, &camera)
+            .is_some()
+        {
+            return Ok(Vec::new());
+        }
         let size = ["width", "height"].map(|name| pixels(fields, &[name]));
         let region = region(fields, size)?;
         let lens = match (message.cameras.calibrates_rectified(message.topic), region) {
@@ -82,15 +95,11 @@ impl FromMessage for Calibration {
             intrinsics,
             distortion,
         } = lens;
-        let frame = message.frame();
         Ok(vec![Self {
             site: message.site.to_owned(),
             session: message.session.to_owned(),
-            stamp: message.stamp(),
-            camera: match frame.is_empty() {
-                true => topic_camera(message.topic),
-                false => frame,
-            },
+            stamp: message.stamp()?,
+            camera,
             width,
             height,
             model,
@@ -243,7 +252,7 @@ mod tests {
     use super::*;
     use crate::Stamp;
     use crate::roles::tests::members;
-    use crate::roles::{CameraNames, OdometryOf};
+    use crate::roles::{CameraNames, OdometryOf, ZeroStamp};
 
     fn list(numbers: &[f64]) -> ArrayRef {
         let items = numbers.iter().copied().map(Some);
@@ -287,6 +296,7 @@ mod tests {
             topic: "/front/camera_info",
             log_time: Stamp(1),
             fields: Fields::new(&members, 0),
+            zero: ZeroStamp::default(),
             image: None,
             cameras: &CameraNames::of_images(|_| vec![images]),
             robot: &OdometryOf::default(),

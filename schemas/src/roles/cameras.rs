@@ -12,6 +12,8 @@ pub struct CameraNames {
     by_prefix: BTreeMap<String, String>,
     /// The prefixes of which rectified images alone are read.
     rectified: BTreeSet<String>,
+    /// The prefixes of which pictures are read.
+    pictured: BTreeSet<String>,
 }
 
 impl CameraNames {
@@ -29,9 +31,20 @@ impl CameraNames {
             }
         }
         let rectified = known.into_iter().filter(|(_, rectified)| *rectified);
+        let pictures = topics(&frames::ROLE).into_iter();
         Self {
             by_prefix: BTreeMap::new(),
             rectified: rectified.map(|(prefix, _)| prefix).collect(),
+            pictured: pictures.map(topic_camera).collect(),
+        }
+    }
+
+    /// The same images, without any names.
+    #[must_use]
+    pub fn unnamed(&self) -> Self {
+        Self {
+            by_prefix: BTreeMap::new(),
+            ..self.clone()
         }
     }
 
@@ -44,6 +57,10 @@ impl CameraNames {
     /// kind.
     pub(super) fn is_rectified(&self, camera: &str) -> Option<bool> {
         let of_camera = self.by_prefix.iter().filter(|(_, name)| *name == camera);
+        let first = self.first_pictured(camera);
+        let is_left_out =
+            |prefix: &String| self.pictured.contains(prefix) && first != Some(prefix.as_str());
+        let of_camera = of_camera.filter(|(prefix, _)| !is_left_out(prefix));
         let mut read = of_camera.map(|(prefix, _)| self.rectified.contains(prefix));
         let first = read.next()?;
         read.all(|other| other == first).then_some(first)
@@ -59,6 +76,42 @@ impl CameraNames {
         self.by_prefix.insert(topic_camera(topic), camera);
     }
 
+    /// The first of the prefixes with pictures whose calibrations are of a camera: what others send under its name is
+    /// not read. `None` where nobody has both.
+    fn first_pictured(&self, camera: &str) -> Option<&str> {
+        let mut calibrated = self.by_prefix.iter();
+        let first =
+            calibrated.find(|(prefix, name)| *name == camera && self.pictured.contains(*prefix))?;
+        Some(first.0)
+    }
+
+    /// The prefix whose calibrations are read for a camera instead of those of this topic; `None` where these are.
+    pub(super) fn calibrated_by(&self, topic: &str, camera: &str) -> Option<&str> {
+        let first = self.first_pictured(camera)?;
+        (first != topic_camera(topic)).then_some(first)
+    }
+
+    /// The prefix whose images are read for a camera instead of those of this topic; `None` where these are. Range and
+    /// label images may have a prefix of their own.
+    pub(super) fn pictured_by(&self, topic: &str, camera: &str) -> Option<&str> {
+        let is_pictured = self.pictured.contains(&topic_camera(topic));
+        self.calibrated_by(topic, camera).filter(|_| is_pictured)
+    }
+
+    /// What is wrong with a calibration topic whose pictures are not read, as another one with pictures is of the same
+    /// camera, in words; `None` where they are.
+    pub fn doubled(&self, topic: &str) -> Option<String> {
+        let camera = self.by_prefix.get(&topic_camera(topic))?;
+        let first = self.pictured_by(topic, camera)?;
+        Some(both_of(first, topic, camera))
+    }
+
+    /// Whether the calibrations of this topic's prefix are of this camera.
+    pub(super) fn is_calibrated_as(&self, topic: &str, camera: &str) -> bool {
+        let named = self.by_prefix.get(&topic_camera(topic));
+        named.is_some_and(|name| name == camera)
+    }
+
     /// The camera of an image: the image's frame where a calibration has the same one, else that of the calibration
     /// whose topic has the same prefix, else the topic's own prefix.
     pub fn name(&self, topic: &str, frame: &str) -> String {
@@ -68,6 +121,15 @@ impl CameraNames {
         let prefix = topic_camera(topic);
         self.by_prefix.get(&prefix).cloned().unwrap_or(prefix)
     }
+}
+
+/// That the pictures of two prefixes are of one camera.
+pub(super) fn both_of(first: &str, topic: &str, camera: &str) -> String {
+    let other = topic_camera(topic);
+    format!(
+        "/{first} and /{other} are both of frame {camera}: only the first is read; choose with `roles: frames` in a \
+         session manifest"
+    )
 }
 
 /// Last parts of a topic that say what is sent, not who sends it.
@@ -176,5 +238,47 @@ mod tests {
         }
         names.add("/rear/camera_info", "left".to_owned());
         assert_eq!(names.is_rectified("left"), None);
+    }
+
+    #[test]
+    fn of_two_prefixes_with_pictures_under_one_name_the_first_is_read() {
+        let topics = |role: &Role| match role.name {
+            "frames" => vec![
+                "/left/image_raw",
+                "/left/image/compressed",
+                "/right/image_raw",
+            ],
+            "depth_frames" => vec!["/aligned/image_raw", "/right/depth"],
+            _ => Vec::new(),
+        };
+        let mut names = CameraNames::of_images(topics);
+        for prefix in ["right", "aligned", "left"] {
+            let topic = format!("/{prefix}/camera_info");
+            names.add(&topic, "optical".to_owned());
+        }
+        for (topic, instead) in [
+            ("/left/image_raw", None),
+            ("/left/image_rect_color/compressed", None),
+            ("/left/depth", None),
+            ("/right/image_raw", Some("left")),
+            ("/right/depth", Some("left")),
+            ("/aligned/image_raw", None),
+        ] {
+            assert_eq!(names.pictured_by(topic, "optical"), instead, "{topic}");
+            assert_eq!(names.pictured_by(topic, "other"), None);
+        }
+        // The lens of a camera is that of its pictures.
+        let info = |prefix: &str| format!("/{prefix}/camera_info");
+        let calibrated = |prefix| names.calibrated_by(&info(prefix), "optical");
+        assert_eq!(calibrated("left"), None);
+        assert_eq!(calibrated("right"), Some("left"));
+        assert_eq!(calibrated("aligned"), Some("left"));
+        let said = "/left and /right are both of frame optical: only the first is read; choose with `roles: frames` in \
+                    a session manifest";
+        assert_eq!(names.doubled(&info("right")).as_deref(), Some(said));
+        assert_eq!(names.doubled(&info("left")), None);
+        assert_eq!(names.doubled(&info("aligned")), None);
+        let unnamed = names.unnamed();
+        assert_eq!(unnamed.calibrated_by(&info("right"), "optical"), None);
     }
 }

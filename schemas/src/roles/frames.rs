@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use crate::roles::cameras::{is_rectified, topic_camera};
+use crate::roles::cameras::{both_of, is_rectified, topic_camera};
 use crate::roles::{Choice, FromMessage, Message, Messages, Role, Topic, every, in_words};
 use crate::{ImageRef, Stamp, record};
 
@@ -128,6 +128,19 @@ pub(super) fn before_rectified(topics: &[Topic]) -> Vec<Choice> {
     choices
 }
 
+/// Whether a topic's images are those that are read of a camera, and not of another one that names the same frame.
+///
+/// # Errors
+/// In words, where they are not and no calibration has told so, as then nobody has counted it.
+fn is_first(message: &Message<'_>, camera: &str) -> Result<bool, String> {
+    let (cameras, topic) = (message.cameras, message.topic);
+    match cameras.pictured_by(topic, camera) {
+        None => Ok(true),
+        Some(_) if cameras.is_calibrated_as(topic, camera) => Ok(false),
+        Some(first) => Err(both_of(first, topic, camera)),
+    }
+}
+
 /// That an image is one that the calibration of its camera is read for. Pictures of a topic that does not say so are not
 /// rectified; range and label images of such a topic may be.
 fn check_calibrated(message: &Message<'_>, camera: &str) -> Result<(), String> {
@@ -178,11 +191,14 @@ impl FromMessage for Frame {
             None => plain_format(&text("format"), &image.magic),
         };
         let camera = message.cameras.name(message.topic, &message.frame());
+        if !is_first(message, &camera)? {
+            return Ok(Vec::new());
+        }
         check_calibrated(message, &camera)?;
         Ok(vec![Self {
             site: message.site.to_owned(),
             session: message.session.to_owned(),
-            stamp: message.stamp(),
+            stamp: message.stamp()?,
             camera,
             topic: message.topic.to_owned(),
             log_time: message.log_time,
@@ -261,7 +277,7 @@ mod tests {
 
     use super::*;
     use crate::roles::tests::members;
-    use crate::roles::{CameraNames, Fields, FoundImage, OdometryOf};
+    use crate::roles::{CameraNames, Fields, FoundImage, OdometryOf, ZeroStamp};
 
     #[test]
     fn formats_are_named_alike() {
@@ -316,6 +332,7 @@ mod tests {
             topic,
             log_time: Stamp(1),
             fields: Fields::new(&members, 0),
+            zero: ZeroStamp::default(),
             image: Some(&FoundImage {
                 place,
                 magic: [0; 8],
@@ -361,6 +378,28 @@ mod tests {
         ] {
             for (names, is_read) in [(&raw, of_raw), (&rect, of_rect)] {
                 assert_eq!(read(topic, names).is_ok(), is_read, "{topic}");
+            }
+        }
+    }
+
+    #[test]
+    fn images_of_a_second_camera_that_names_the_frame_of_a_first_are_not_read() {
+        let pictures = vec!["/left/image", "/right/image"];
+        let read = |topic: &str, names: &CameraNames| read(topic, "mono8", 0, names);
+        for calibrated in [
+            ["/left/camera_info"].as_slice(),
+            &["/right/camera_info", "/left/camera_info"],
+        ] {
+            let mut names = CameraNames::of_images(|_| pictures.clone());
+            calibrated
+                .iter()
+                .for_each(|topic| names.add(topic, "right".to_owned()));
+            // The images of this test name no frame; a prefix stands for it.
+            assert_eq!(read("/left/image", &names), Ok("mono8".to_owned()));
+            let other = read("/right/image", &names);
+            match calibrated.len() {
+                1 => assert!(other.is_err_and(|said| said.contains("/left and /right"))),
+                _ => assert_eq!(other, Ok(String::new())),
             }
         }
     }

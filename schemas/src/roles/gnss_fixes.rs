@@ -91,7 +91,7 @@ impl FromMessage for GnssFix {
         Ok(vec![Self {
             site: message.site.to_owned(),
             session: message.session.to_owned(),
-            stamp: message.stamp(),
+            stamp: message.stamp()?,
             topic: message.topic.to_owned(),
             frame: message.frame(),
             latitude_deg,
@@ -113,7 +113,7 @@ mod tests {
 
     use super::*;
     use crate::roles::tests::members;
-    use crate::roles::{CameraNames, Fields, OdometryOf};
+    use crate::roles::{CameraNames, Fields, OdometryOf, ZeroStamp};
 
     /// How many rows a message with this status and latitude gives.
     fn rows(status: Option<i8>, latitude_deg: f64) -> Result<usize, String> {
@@ -134,6 +134,7 @@ mod tests {
             topic: "/fix",
             log_time: Stamp(1),
             fields: Fields::new(&members, 0),
+            zero: ZeroStamp::default(),
             image: None,
             cameras: &CameraNames::default(),
             robot: &OdometryOf::default(),

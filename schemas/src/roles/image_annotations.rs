@@ -88,12 +88,11 @@ impl FromMessage for ImageAnnotation {
         if is_line && !brush_px.is_some_and(f64::is_finite) {
             return Err("expected image.brush_px of a polyline".to_owned());
         }
-        let stamp = fields.stamp_at(&["image", "stamp"]);
         let camera = fields.text(&["image", "camera"]);
         Ok(vec![Self {
             site: message.site.to_owned(),
             session: message.session.to_owned(),
-            stamp: message.stamp(),
+            stamp: message.stamp()?,
             author: text(fields, "author")?,
             sequence: fields.number(&["sequence"]).unwrap_or(0.0) as u64,
             id: text(fields, "id")?,
@@ -101,7 +100,7 @@ impl FromMessage for ImageAnnotation {
             act,
             map_version: fields.number(&["map_version"]).map(|number| number as u64),
             image_session: fields.text(&["image", "session"]).unwrap_or_default(),
-            image_stamp: stamp.ok_or("expected a stamp in image.stamp")?,
+            image_stamp: fields.stamp_of(&["image", "stamp"])?,
             image_camera: camera.ok_or("expected text in image.camera")?,
             shape,
             points,

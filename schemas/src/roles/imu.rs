@@ -69,7 +69,7 @@ impl FromMessage for ImuMeasurement {
         Ok(vec![Self {
             site: message.site.to_owned(),
             session: message.session.to_owned(),
-            stamp: message.stamp(),
+            stamp: message.stamp()?,
             topic: message.topic.to_owned(),
             frame: message.frame(),
             angular_velocity_x_radps: turn("x")?,

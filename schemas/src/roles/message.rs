@@ -9,7 +9,7 @@ use arrow::datatypes::{
     UInt16Type, UInt32Type, UInt64Type,
 };
 
-use crate::roles::{CameraNames, OdometryOf, frame_names};
+use crate::roles::{CameraNames, OdometryOf, ZeroStamp, frame_names};
 use crate::{Fault, ImageRef, LayerRow, Pose, Stamp};
 
 /// A row that comes from messages.
@@ -65,6 +65,8 @@ pub struct Message<'a> {
     pub log_time: Stamp,
     /// Its members.
     pub fields: Fields<'a>,
+    /// What a stamp of zero means on its topic.
+    pub zero: ZeroStamp,
     /// Where its image lies; for roles of images.
     pub image: Option<&'a FoundImage>,
     /// What the session's cameras are called; for roles of images.
@@ -83,9 +85,18 @@ pub struct FoundImage {
 }
 
 impl Message<'_> {
-    /// The header's stamp; the log time where there is none.
-    pub fn stamp(&self) -> Stamp {
-        self.fields.stamp().unwrap_or(self.log_time)
+    /// The header's stamp; the log time where there is none, or where it is zero as all of its topic.
+    ///
+    /// # Errors
+    /// In words, when there is one that cannot be read, or it is zero among others of a clock that does not begin there.
+    pub fn stamp(&self) -> Result<Stamp, String> {
+        match (self.fields.stamp()?, self.zero) {
+            (Some(Stamp(0)), ZeroStamp::Amiss) => Err(
+                "expected a stamp, as others of the topic have one, found zero: its sender did not know the time"
+                    .to_owned(),
+            ),
+            (said, zero) => Ok(zero.read(said).unwrap_or(self.log_time)),
+        }
     }
 
     /// The header's frame, without the slash that ROS 1 puts in front; empty where there is none.
@@ -105,7 +116,7 @@ pub const FARTHEST_M: f64 = 1e9;
 #[derive(Debug, Clone, Copy)]
 pub struct Fields<'a> {
     members: &'a StructArray,
-    row: usize,
+    pub(super) row: usize,
 }
 
 impl<'a> Fields<'a> {
@@ -120,7 +131,7 @@ impl<'a> Fields<'a> {
     }
 
     /// The member at a path of names.
-    fn at(&self, path: &[&str]) -> Option<ArrayRef> {
+    pub(super) fn at(&self, path: &[&str]) -> Option<ArrayRef> {
         let (first, rest) = path.split_first()?;
         let mut array = self.members.column_by_name(first)?.clone();
         for name in rest {
@@ -158,27 +169,6 @@ impl<'a> Fields<'a> {
     pub fn list(&self, name: &str) -> Option<StructArray> {
         let items = items(&self.at(&[name])?, self.row)?;
         Some(items.as_struct_opt()?.clone())
-    }
-
-    /// The stamp of the header, or the message's own.
-    pub fn stamp(&self) -> Option<Stamp> {
-        let own = || self.stamp_at(&["timestamp"]);
-        self.stamp_at(&["header", "stamp"]).or_else(own)
-    }
-
-    /// The stamp at a path: seconds and nanoseconds, as ROS 1, ROS 2, protobuf and JSON spell them. `None` where it is missing
-    /// or zero, as senders leave it that do not know the time.
-    pub fn stamp_at(&self, path: &[&str]) -> Option<Stamp> {
-        let part = |names: [&str; 3]| {
-            let of = |name: &&str| self.number(&[path, &[*name]].concat());
-            names.iter().find_map(of)
-        };
-        let seconds = part(["sec", "secs", "seconds"])?;
-        let fraction = part(["nanosec", "nsec", "nanos"])?;
-        let stamp = (seconds as i64)
-            .checked_mul(1_000_000_000)?
-            .checked_add(fraction as i64)?;
-        (stamp != 0).then_some(Stamp(stamp))
     }
 
     /// A pose from a position and a quaternion; the quaternion is normalised.

@@ -16,11 +16,13 @@ mod message;
 mod mounts;
 pub mod robots;
 mod role;
+mod stamps;
 
 pub use cameras::CameraNames;
 pub use message::{FARTHEST_M, Fields, FoundImage, FromMessage, Message, Read};
 pub use mounts::Mount;
 pub use role::{Choice, Messages, Metadata, Role, Source, Topic, UNTYPED, every, in_words};
+pub use stamps::ZeroStamp;
 
 macro_rules! roles {
     ($($file:ident),+ $(,)?) => {

@@ -129,7 +129,7 @@ impl FromMessage for OdometryPose {
         Ok(vec![Self {
             site: message.site.to_owned(),
             session: message.session.to_owned(),
-            stamp: message.stamp(),
+            stamp: message.stamp()?,
             topic: message.topic.to_owned(),
             odom_from_vehicle: pose?,
             speed_mps: twist(["linear", "x"]),

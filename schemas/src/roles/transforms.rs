@@ -31,6 +31,9 @@ pub const ROLE: Role = Role::of::<Transform>(Messages {
     ..Messages::of::<Transform>(TYPES)
 });
 
+/// The member of a message that has several transforms, each with a header of its own.
+pub(super) const TRANSFORMS: &str = "transforms";
+
 /// Message types of transforms.
 pub(super) const TYPES: &[&str] = &[
     "tf2_msgs/TFMessage",
@@ -46,7 +49,7 @@ pub(super) fn is_static(topic: &str) -> bool {
 
 impl FromMessage for Transform {
     const MEMBERS: &'static [&'static str] = &[
-        "transforms",
+        TRANSFORMS,
         "timestamp",
         "parent_frame_id",
         "child_frame_id",
@@ -77,7 +80,7 @@ fn mounts(message: &Message<'_>) -> Vec<Mount> {
 
 /// The transforms of a message, or why they make no sense; `None` where it is no message of transforms.
 pub(super) fn all(message: &Message<'_>) -> Option<Vec<Result<Transform, String>>> {
-    if let Some(list) = message.fields.list("transforms") {
+    if let Some(list) = message.fields.list(TRANSFORMS) {
         let of_list = Fields::all(&list).map(|fields| transform(message, fields));
         return Some(of_list.collect());
     }
@@ -105,7 +108,11 @@ fn transform(message: &Message<'_>, fields: Fields<'_>) -> Result<Transform, Str
     Ok(Transform {
         site: message.site.to_owned(),
         session: message.session.to_owned(),
-        stamp: fields.stamp().unwrap_or(message.log_time),
+        // Several senders share a topic, and those of fixed transforms often leave the stamp: zero says nothing of others.
+        stamp: message
+            .zero
+            .read(fields.stamp()?)
+            .unwrap_or(message.log_time),
         parent: named(parent, "parent")?,
         child: named(child, "child")?,
         parent_from_child: pose?,

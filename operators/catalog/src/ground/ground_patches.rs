@@ -15,7 +15,7 @@ use rayon::prelude::*;
 use crate::inputs::bodies::bodies;
 use crate::inputs::calibrated::{Calibrated, Mounted};
 use crate::inputs::floors::floors;
-use crate::inputs::pixels::undecoded;
+use crate::inputs::pixels::{left_out, undecoded};
 use crate::inputs::rig::{self, OfVehicle, frame};
 
 /// See the module's page.
@@ -124,7 +124,7 @@ impl Projector {
         let pose = Pose::from_array(image.map_from_vehicle.to_array())
             .map_err(|_| "pose is not a rigid transform")?;
         let undecoded = || undecoded(&image.camera, &image.image.format);
-        decode_grey(bytes, grey).map_err(|_| undecoded())?;
+        decode_grey(bytes, grey).map_err(|error| left_out(&error, undecoded()))?;
         let view = GrayView::new(grey.width, grey.height, &grey.data).ok_or_else(undecoded)?;
         let cell_m = self.params.options.cell_m;
         let patch = table

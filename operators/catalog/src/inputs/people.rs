@@ -11,7 +11,7 @@ use evermap_schemas::layers::{FrameImage, PersonModel};
 use evermap_vision::{Grey, PeopleDetector, decode_grey};
 
 use crate::inputs::calibrated::{Calibrated, Mounted};
-use crate::inputs::pixels::undecoded;
+use crate::inputs::pixels::{left_out, undecoded};
 use crate::inputs::rig::OfVehicle;
 
 /// Kind of the labels that say who is a person, and what is none.
@@ -102,7 +102,7 @@ impl Looking {
         find: impl FnOnce(Sight<'_>) -> T,
     ) -> Result<T, Reason> {
         let undecoded = || undecoded(&image.camera, &image.image.format);
-        decode_grey(bytes, &mut room.grey).map_err(|_| undecoded())?;
+        decode_grey(bytes, &mut room.grey).map_err(|error| left_out(&error, undecoded()))?;
         let Grey {
             width,
             height,

@@ -5,7 +5,7 @@ use evermap_algorithms::semantic_map::class_scores::ScoresView;
 use evermap_algorithms::semantic_map::semantic_graph::MOST_CLASSES;
 use evermap_contract::Reason;
 use evermap_schemas::layers::{ClassScores, LabelImage};
-use evermap_vision::{Rgb, decode_colour, decode_labels};
+use evermap_vision::{ImageError, Rgb, decode_colour, decode_labels};
 
 use crate::inputs::rig::frame;
 
@@ -19,13 +19,21 @@ pub(crate) fn undecoded(camera: &str, encoding: &str) -> Reason {
     }
 }
 
+/// Why an image is left out that gives this error; `undecoded` is what is said of most of them.
+pub(crate) fn left_out(error: &ImageError, undecoded: Reason) -> Reason {
+    match error {
+        ImageError::Faint { .. } => format!("{undecoded}: {error}").into(),
+        _ => undecoded,
+    }
+}
+
 /// An encoded image in colour; `room` holds it, and `undecoded` says why it is left out.
 pub(crate) fn colours<'a>(
     bytes: &[u8],
     room: &'a mut Rgb,
     undecoded: impl Fn() -> Reason,
 ) -> Result<ColourView<'a>, Reason> {
-    decode_colour(bytes, room).map_err(|_| undecoded())?;
+    decode_colour(bytes, room).map_err(|error| left_out(&error, undecoded()))?;
     ColourView::new(room.width, room.height, &room.data).ok_or_else(undecoded)
 }
 

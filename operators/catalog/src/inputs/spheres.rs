@@ -12,7 +12,7 @@ use evermap_vision::{Grey, decode_depth, decode_grey};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::inputs::pixels::{labels, too_many_classes};
+use crate::inputs::pixels::{labels, left_out, too_many_classes};
 
 /// What classes are like: a parameter of all that tell what moves from what stays.
 #[derive(Debug, Clone, Serialize, Deserialize, JsonSchema)]
@@ -151,7 +151,8 @@ impl Spheres {
         let range = decode_depth(&row.range.0).map_err(|_| "range image does not decode")?;
         let mut grey = Grey::default();
         if with_grey {
-            decode_grey(&row.image.0, &mut grey).map_err(|_| "image does not decode")?;
+            decode_grey(&row.image.0, &mut grey)
+                .map_err(|error| left_out(&error, "image does not decode".into()))?;
         }
         let size = [row.width, row.height];
         let sized = |width, height| [width, height] == size;

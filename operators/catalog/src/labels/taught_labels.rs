@@ -12,7 +12,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::inputs::painting::{ImageKey, by_image, lying, paint};
-use crate::inputs::pixels::undecoded;
+use crate::inputs::pixels::{left_out, undecoded};
 
 /// See the module's page.
 pub struct TaughtLabels;
@@ -104,7 +104,8 @@ struct Canvas {
 impl Canvas {
     /// The labels that the image has otherwise; else none anywhere.
     fn of(frame: &PaintedFrame, bytes: &[u8], room: &mut Grey) -> Result<Self, Reason> {
-        decode_grey(bytes, room).map_err(|_| undecoded(&frame.camera, &frame.image.format))?;
+        let undecoded = || undecoded(&frame.camera, &frame.image.format);
+        decode_grey(bytes, room).map_err(|error| left_out(&error, undecoded()))?;
         let (Some(png), Some(classes)) = (&frame.png, &frame.classes) else {
             let data = vec![VOID; room.data.len()];
             return Ok(Self {

@@ -10,7 +10,7 @@ use evermap_vision::{Grey, decode_grey, encode_png};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::inputs::pixels::undecoded;
+use crate::inputs::pixels::{left_out, undecoded};
 
 /// See the module's page.
 pub struct BodyMasks;
@@ -144,7 +144,7 @@ impl OfCamera {
 
     fn compare(&mut self, row: FrameImage, bytes: &[u8]) -> Result<(), Reason> {
         decode_grey(bytes, &mut self.grey)
-            .map_err(|_| undecoded(&row.camera, &row.image.format))?;
+            .map_err(|error| left_out(&error, undecoded(&row.camera, &row.image.format)))?;
         let Grey { width, height, .. } = self.grey;
         self.last_m = self.distances_m.get(&row.keyframe).copied();
         let search = self.search.get_or_insert_with(|| Search {

@@ -10,7 +10,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::inputs::bodies::bodies;
-use crate::inputs::pixels::undecoded;
+use crate::inputs::pixels::{left_out, undecoded};
 use crate::inputs::rig::frame;
 
 /// See the module's page.
@@ -79,7 +79,8 @@ impl Finder {
         bytes: &[u8],
         grey: &mut Grey,
     ) -> Result<Option<FeaturesRow>, Reason> {
-        decode_grey(bytes, grey).map_err(|_| undecoded(&image.camera, &image.image.format))?;
+        let undecoded = || undecoded(&image.camera, &image.image.format);
+        decode_grey(bytes, grey).map_err(|error| left_out(&error, undecoded()))?;
         let camera = frame(&image.camera);
         let named = (image.session.clone(), camera.to_owned());
         let fits = |mask: &Grey| (mask.width, mask.height) == (grey.width, grey.height);

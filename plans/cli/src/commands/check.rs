@@ -12,6 +12,7 @@ use evermap_engine::prepare::{self, vocabulary};
 use evermap_engine::program::Program;
 use evermap_language::{Plan, json_schema};
 use evermap_schemas::Fault;
+use evermap_schemas::roles::{calibration, frames};
 use serde_json::Value;
 
 use crate::arguments::{Described, PlanArgs};
@@ -20,7 +21,7 @@ use crate::progress::line;
 use crate::quantity::of;
 use crate::sessions::{lost, open};
 use crate::shipped;
-use crate::{fixes, masks, odometry_frame, operators};
+use crate::{camera_frames, fixes, masks, odometry_frame, operators};
 
 /// Checks a plan.
 ///
@@ -36,9 +37,15 @@ pub async fn check(args: &PlanArgs) -> Ending {
     if let Some(warning) = masks::warning(&masks::masked(&program), &dataset).await? {
         line(&format!("warning: {warning}"));
     }
-    let of_odometry = odometry_frame::notes(&dataset, odometry_frame::vehicle(&program)).await?;
+    let vehicle = odometry_frame::vehicle(&program);
+    let of_odometry = odometry_frame::notes(&dataset, vehicle).await?;
+    let roles = [calibration::ROLE, frames::ROLE];
+    let of_cameras = match roles.iter().any(|role| program.reads_source(role.name)) {
+        true => camera_frames::notes(&dataset, vehicle).await?,
+        false => Vec::new(),
+    };
     let of_fixes = fixes::notes(&dataset, &program).await?;
-    for note in of_odometry.iter().chain(&of_fixes) {
+    for note in of_odometry.iter().chain(&of_cameras).chain(&of_fixes) {
         line(&format!("note: {note}"));
     }
     let players = Players::of(&dataset, std::iter::empty());

@@ -24,7 +24,7 @@ use crate::printable::printable;
 use crate::quantity::of;
 use crate::sessions::lost;
 use crate::shipped;
-use crate::{odometry_frame, operators};
+use crate::{camera_frames, odometry_frame, operators};
 
 /// Says what a file holds, or writes a manifest of several. Every chunk is read, so that damage is found, unless only the index is asked for. Memory
 /// does not grow with the file.
@@ -60,7 +60,11 @@ pub async fn inspect(args: &InspectArgs) -> Ending {
     };
     let vehicle = frames.as_ref().and_then(CoordinateFrames::vehicle);
     let notes = match vehicle {
-        Some(vehicle) => odometry_frame::notes(&dataset, vehicle).await?,
+        Some(vehicle) => {
+            let of_odometry = odometry_frame::notes(&dataset, vehicle).await?;
+            let of_cameras = camera_frames::notes(&dataset, vehicle).await?;
+            [of_odometry, of_cameras].concat()
+        }
         None => Vec::new(),
     };
     let unchecked = (!args.quick).then(|| unchecked(&read)).flatten();

@@ -179,6 +179,12 @@ impl Program {
         stages.filter_map(move |stage| stage.params()?.get(parameter))
     }
 
+    /// Whether any stage reads this table of the logs.
+    pub fn reads_source(&self, table: &str) -> bool {
+        let mut reads = self.stages.iter().flat_map(|stage| &stage.reads);
+        reads.any(|read| matches!(&read.table, Input::Source(name) if name == table))
+    }
+
     /// A stage by name.
     ///
     /// # Errors

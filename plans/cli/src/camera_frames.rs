@@ -1,0 +1,117 @@
+//! Frames of cameras: those that are not optical, whose images are read as if they were.
+
+use std::collections::BTreeSet;
+
+use evermap_datasets::Dataset;
+use evermap_engine::sql::{Limits, context};
+use evermap_schemas::Fault;
+use evermap_schemas::roles::Transform;
+
+use crate::coordinate_frames::cameras_of;
+use crate::odometry_frame::{LOOKED_AT, fixed_transforms, tied};
+
+/// The cameras of a session are known after so many images.
+const IMAGES: usize = 64;
+
+/// How close to straight up a camera's z axis is that hardly looks along it: cos 30°.
+const STEEP: f64 = 0.866;
+
+/// What a person is told of the first [`LOOKED_AT`] sessions that have a camera whose frame looks along x, as its z axis goes
+/// up. Cameras that name the frame of another one are counted as these are read.
+///
+/// # Errors
+/// A fault of ours.
+pub async fn notes(dataset: &Dataset, vehicle: &str) -> Result<Vec<String>, Fault> {
+    let mut notes = Vec::new();
+    let pictured = dataset.sessions.iter();
+    let pictured = pictured.filter(|session| !session.roles.topics("frames").is_empty());
+    for session in pictured.take(LOOKED_AT) {
+        // A table of all sessions looks at the files of all.
+        let context = context(Limits::one_partition())?;
+        dataset.of_session(session).register(&context)?;
+        // What cannot be read of a log is told where its rows are read.
+        let cameras = cameras_of(&context, &session.name, IMAGES).await;
+        let transforms = fixed_transforms(&context, &session.name).await;
+        let found = not_optical(
+            &transforms.unwrap_or_default(),
+            &cameras.unwrap_or_default(),
+            vehicle,
+        );
+        notes.extend(found.map(|note| format!("session {}: {note}", session.name)));
+    }
+    Ok(notes)
+}
+
+/// That cameras have frames whose z axis goes up on the vehicle, and which.
+fn not_optical(
+    transforms: &[Transform],
+    cameras: &BTreeSet<String>,
+    vehicle: &str,
+) -> Option<String> {
+    let angle = |camera: &String| {
+        let (camera_from_vehicle, _) = tied(transforms, camera, vehicle)?;
+        let [_, _, _, qx, qy, ..] = camera_from_vehicle.to_array();
+        let up = 1.0 - 2.0 * (qx * qx + qy * qy);
+        (up > STEEP).then(|| format!("{camera} {:.0}°", up.min(1.0).acos().to_degrees()))
+    };
+    let steep: Vec<String> = cameras.iter().filter_map(angle).collect();
+    (!steep.is_empty()).then(|| {
+        format!(
+            "expected optical frames of cameras, z forward (REP 103), found z so far from straight up: {}; images are \
+             read as if taken along z: name their optical frames in images and calibrations",
+            steep.join(", ")
+        )
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use evermap_schemas::{Pose, Stamp};
+
+    use super::*;
+
+    /// A camera at the mast of a vehicle, turned by this quaternion.
+    fn mounted(child: &str, [qx, qy, qz, qw]: [f64; 4]) -> Transform {
+        Transform {
+            site: String::new(),
+            session: String::new(),
+            stamp: Stamp(0),
+            parent: "base_link".to_owned(),
+            child: child.to_owned(),
+            parent_from_child: Pose {
+                x: 1.0,
+                y: 0.0,
+                z: 1.5,
+                qx,
+                qy,
+                qz,
+                qw,
+            },
+            fixed: true,
+        }
+    }
+
+    #[test]
+    fn cameras_that_look_along_x_are_told_and_those_along_z_are_not() {
+        let about_y = |degrees: f64| {
+            let half = degrees.to_radians() / 2.0;
+            [0.0, half.sin(), 0.0, half.cos()]
+        };
+        let transforms = [
+            mounted("optical", [-0.5, 0.5, -0.5, 0.5]),
+            mounted("straight", [0.0, 0.0, 0.0, 1.0]),
+            mounted("left", [0.0, 0.0, 0.6, 0.8]),
+            mounted("pitched", about_y(25.0)),
+            mounted("steep", about_y(35.0)),
+            mounted("down", about_y(180.0)),
+        ];
+        let note = |cameras: &[&str]| {
+            let cameras = cameras.iter().map(|name| (*name).to_owned()).collect();
+            not_optical(&transforms, &cameras, "base_link")
+        };
+        assert_eq!(note(&["optical", "steep", "down", "nowhere"]), None);
+        let said = note(&["left", "optical", "pitched", "straight"]).unwrap_or_default();
+        let found = "straight up: left 0°, pitched 25°, straight 0°; images";
+        assert!(said.contains(found), "{said}");
+    }
+}

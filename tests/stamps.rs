@@ -1,0 +1,112 @@
+//! When messages were sent, however their stamps are spelled, and where a clock begins at zero.
+
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+
+use std::path::Path;
+
+use evermap_tests::{Finished, evermap, text};
+use serde_json::{Value, json};
+
+/// The log time of the first message, ns; the others follow a second apart.
+const LOGGED: u64 = 1_700_000_000_000_000_000;
+
+/// Writes a log of odometry whose messages have these stamps, of members that are called so.
+fn write(path: &Path, [seconds, nanoseconds]: [&str; 2], stamps: &[Value]) {
+    let object = |members: Value| json!({"type": "object", "properties": members});
+    let (number, integer) = (json!({"type": "number"}), json!({"type": "integer"}));
+    let position = object(json!({"x": number, "y": number, "z": number}));
+    let orientation = object(json!({"x": number, "y": number, "z": number, "w": number}));
+    let pose = object(json!({"position": position, "orientation": orientation}));
+    let stamp = object(json!({seconds: integer, nanoseconds: integer}));
+    let members = json!({
+        "header": object(json!({"stamp": stamp, "frame_id": {"type": "string"}})),
+        "pose": object(json!({"pose": pose})),
+    });
+    let mut log = mcap::Writer::new(std::fs::File::create(path).unwrap()).unwrap();
+    let schema = object(members).to_string();
+    let schema = log.add_schema("nav_msgs/Odometry", "jsonschema", schema.as_bytes());
+    let channel = log.add_channel(schema.unwrap(), "/odom", "json", &Default::default());
+    let channel_id = channel.unwrap();
+    for (second, stamp) in (0_u64..).zip(stamps) {
+        let time = LOGGED + second * 1_000_000_000;
+        let header = mcap::records::MessageHeader {
+            channel_id,
+            sequence: 0,
+            log_time: time,
+            publish_time: time,
+        };
+        let position = json!({"x": second as f64, "y": 0.0, "z": 0.0});
+        let orientation = json!({"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0});
+        let message = json!({
+            "header": {"stamp": stamp, "frame_id": "odom"},
+            "pose": {"pose": {"position": position, "orientation": orientation}},
+        });
+        log.write_to_known_channel(&header, message.to_string().as_bytes())
+            .unwrap();
+    }
+    log.finish().unwrap();
+}
+
+/// The stamps of odometry, ns, in the order of its path.
+fn stamps(log: &Path) -> Finished {
+    let sql = "SELECT CAST(stamp AS BIGINT) AS stamp FROM odometry ORDER BY odom_from_vehicle['x']";
+    evermap(&[
+        "sql",
+        "--sessions",
+        text(log),
+        "--format",
+        "json",
+        "--query",
+        sql,
+    ])
+}
+
+fn rows(stamps: &[u64]) -> Value {
+    stamps.iter().map(|stamp| json!({"stamp": stamp})).collect()
+}
+
+#[test]
+fn json_stamps_are_read_however_they_are_spelled_or_counted() {
+    let folder = tempfile::tempdir().unwrap();
+    let log = folder.path().join("log.mcap");
+    for [seconds, nanoseconds] in [["sec", "nanosec"], ["secs", "nsecs"], ["sec", "nsec"]] {
+        let stamp = |sec: u64| json!({seconds: sec, nanoseconds: 7});
+        write(&log, [seconds, nanoseconds], &[stamp(5), stamp(6)]);
+        let found = stamps(&log).expect(0).json();
+        assert_eq!(
+            found,
+            rows(&[5_000_000_007, 6_000_000_007]),
+            "{seconds} {nanoseconds}"
+        );
+    }
+    write(&log, ["secs", "ns"], &[json!({"secs": 5, "ns": 7})]);
+    let found = stamps(&log).expect(3);
+    assert_eq!(found.json(), json!([]));
+    let said = "at header.stamp, found secs, ns";
+    assert!(found.stderr.contains(said), "{}", found.stderr);
+}
+
+#[test]
+fn zero_is_the_first_instant_of_a_clock_that_begins_there() {
+    let folder = tempfile::tempdir().unwrap();
+    let log = folder.path().join("log.mcap");
+    let seconds = |seconds: &[u64]| {
+        let stamps = seconds.iter().map(|sec| json!({"sec": sec, "nanosec": 0}));
+        write(&log, ["sec", "nanosec"], &stamps.collect::<Vec<_>>());
+        stamps_of(&log)
+    };
+    let second = 1_000_000_000;
+    assert_eq!(seconds(&[0, 1, 2]), (0, rows(&[0, second, 2 * second])));
+    // Senders without a clock.
+    assert_eq!(seconds(&[0, 0]), (0, rows(&[LOGGED, LOGGED + second])));
+    // One that did not know the time at first.
+    let later = [1_700_000_001, 1_700_000_002];
+    let expected = rows(&later.map(|later| later * second));
+    assert_eq!(seconds(&[0, later[0], later[1]]), (3, expected));
+}
+
+/// The exit code, and what is found.
+fn stamps_of(log: &Path) -> (i32, Value) {
+    let found = stamps(log);
+    (found.code, found.json())
+}
