@@ -201,7 +201,8 @@ pub fn put(bucket: &str, name: &str, body: Vec<u8>) {
         body.len()
     );
     let put = Request { head, body }.forwarded(server().unwrap());
-    assert!(put.starts_with(b"HTTP/1.1 200"));
+    let said = String::from_utf8_lossy(&put);
+    assert!(said.starts_with("HTTP/1.1 200"), "{said}");
 }
 
 struct Proxy {
