@@ -151,7 +151,8 @@ impl<'a> Builder<'a> {
     /// That the logs which were read are those that the recipe names.
     ///
     /// # Errors
-    /// As [`UnitLog::still`].
+    /// A fault for a log that is another one by now, or grew in what was read of it; what the store says of one that it does
+    /// not give.
     pub async fn logs_are_the_same(&self) -> Result<(), Fault> {
         each(self.opened.iter().map(UnitLog::still)).await.map(drop)
     }
