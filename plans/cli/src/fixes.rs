@@ -12,27 +12,28 @@ use evermap_schemas::roles::{
 use evermap_schemas::{Fault, Stamp};
 use futures::TryStreamExt;
 
+use crate::odometry_frame::LOOKED_AT;
 use crate::quantity::of;
 
 /// The role that is looked at.
 const FIXES: &str = gnss_fixes::ROLE.name;
 
-/// What a person is told of sessions all of whose messages of a GNSS receiver say that there is no fix, where a program reads
-/// fixes. A session is read as far as its first message that says another thing; what is wrong with that is told where its
-/// rows are read.
+/// What a person is told of the first [`LOOKED_AT`] sessions that have a GNSS receiver all of whose messages say that there
+/// is no fix, where a program reads fixes. A session is read as far as its first message that says another thing; what is
+/// wrong with that is told where its rows are read.
 ///
 /// # Errors
 /// A fault of ours.
 pub async fn notes(dataset: &Dataset, program: &Program) -> Result<Vec<String>, Fault> {
     let mut notes = Vec::new();
-    for session in dataset
-        .sessions
-        .iter()
-        .filter(|_| program.reads_source(FIXES))
-    {
-        let Some(topic) = session.roles.topics(FIXES).first() else {
-            continue;
-        };
+    if !program.reads_source(FIXES) {
+        return Ok(notes);
+    }
+    let receivers = dataset.sessions.iter().filter_map(|session| {
+        let topic = session.roles.topics(FIXES).first()?;
+        Some((session, topic))
+    });
+    for (session, topic) in receivers.take(LOOKED_AT) {
         // A table of all sessions looks at the files of all.
         let context = context(Limits::one_partition())?;
         dataset.of_session(session).register(&context)?;
