@@ -58,6 +58,7 @@ use clap::Parser;
 use evermap_contract::Entry;
 use evermap_engine::sql::Term;
 use evermap_schemas::Fault;
+use tokio::runtime::Runtime;
 
 use crate::arguments::{Arguments, Command};
 use crate::commands::sql::is_prompt;
@@ -78,11 +79,13 @@ pub fn main_with(own: impl IntoIterator<Item = Entry>) -> std::process::ExitCode
     if let Err(fault) = operators::join(own) {
         return tell(&Err(fault.into()), &mut std::io::stderr()).into();
     }
-    let runtime = match threads::runtime(&arguments.command) {
-        Ok(runtime) => runtime,
+    let threads = threads::runtime(&arguments.command)
+        .and_then(|runtime| Ok((runtime, threads::listening()?)));
+    let (runtime, listening) = match threads {
+        Ok(threads) => threads,
         Err(fault) => return tell(&Err(fault.into()), &mut std::io::stderr()).into(),
     };
-    let ending = runtime.block_on(until_interrupted(arguments.command));
+    let ending = listening.block_on(until_interrupted(arguments.command, &runtime));
     let code = tell(&ending, &mut std::io::stderr());
     // Kernels that still run are left behind: what they would write has no name yet.
     runtime.shutdown_background();
@@ -100,14 +103,14 @@ pub async fn command(line: impl IntoIterator<Item = OsString>) -> Ending {
     commands::dispatch(&arguments.command, &unfinished).await
 }
 
-/// Runs a command, unless the person stops it. A map changes only by the last step of a run, so stopping leaves it as
+/// Runs a command on the threads of a runtime, unless the person stops it. A map changes only by the last step of a run, so stopping leaves it as
 /// it was, and what was computed is found again.
-async fn until_interrupted(command: Command) -> Ending {
+async fn until_interrupted(command: Command, runtime: &Runtime) -> Ending {
     let command = Arc::new(command);
     let own_interrupts = matches!(&*command, Command::Sql(args) if is_prompt(args));
     let (unfinished, mut all_finished) = tokio::sync::mpsc::channel::<Infallible>(1);
     let term = Term::default();
-    let mut work = tokio::spawn(term.of({
+    let mut work = runtime.spawn(term.of({
         let command = Arc::clone(&command);
         async move { commands::dispatch(&command, &unfinished).await }
     }));

@@ -15,12 +15,14 @@ use reedline::{
     FileBackedHistory, Prompt, PromptEditMode, PromptHistorySearch, Reedline, Signal,
     ValidationResult, Validator,
 };
+use tokio::task::block_in_place;
 
 use crate::commands::sql::{Tables, statements};
 use crate::ending::{Failure, Lost, panicked, tell};
 use crate::output::{Format, Sink, print_rows};
 use crate::progress::line;
 use crate::quantity::{of, of_seconds};
+use crate::threads;
 
 const HELP: &str = "\\d          tables\n\\d NAME     columns of a table, with units and frames\n\\q          leave\n\
                     SELECT … ;  a query; it may take several lines, and ends with a semicolon";
@@ -163,7 +165,7 @@ pub async fn run(tables: &Arc<Tables>, format: Format) -> Result<(), Failure> {
     let mut editor = editor();
     line("\\d lists the tables, \\? helps, \\q leaves");
     loop {
-        let signal = tokio::task::block_in_place(|| editor.read_line(&Sign))
+        let signal = block_in_place(|| editor.read_line(&Sign))
             .map_err(|error| Fault::resource(format!("the terminal failed: {error}")))?;
         match signal {
             Signal::Success(text) => match Input::of(&text) {
@@ -181,14 +183,23 @@ async fn answer(tables: &Arc<Tables>, text: String, format: Format) {
     let (tables, term) = (Arc::clone(tables), Term::default());
     let answered = async move { respond(&tables, Input::of(&text), format).await };
     let mut asked = tokio::spawn(term.of(answered));
-    let ending = tokio::select! {
-        ending = &mut asked => ending.unwrap_or_else(|error| Err(panicked(&error))),
-        _ = tokio::signal::ctrl_c() => {
+    let ended = block_in_place(|| -> Result<_, Fault> {
+        Ok(threads::listening()?.block_on(async {
+            tokio::select! {
+                ended = &mut asked => Some(ended),
+                _ = tokio::signal::ctrl_c() => None,
+            }
+        }))
+    });
+    let ending = match ended {
+        Ok(Some(ended)) => ended.unwrap_or_else(|error| Err(panicked(&error))),
+        Ok(None) => {
             term.end();
             asked.abort();
             line("stopped");
             return;
         }
+        Err(fault) => Err(fault.into()),
     };
     // The ledger is told when the prompt ends; here only what failed.
     tell(&ending.map(|()| Lost::default()), &mut std::io::stderr());

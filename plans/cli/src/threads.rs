@@ -48,6 +48,16 @@ pub fn runtime(command: &Command) -> Result<Runtime, Fault> {
         .map_err(refused)
 }
 
+/// What hears signals and the clock on the thread that waits for them, however long those of [`runtime`] compute without a
+/// pause: while all of them do, none of them would.
+///
+/// # Errors
+/// A resource fault where the system lets nobody listen.
+pub fn listening() -> Result<Runtime, Fault> {
+    let thread = runtime::Builder::new_current_thread().enable_all().build();
+    thread.map_err(|error| Fault::resource(format!("cannot listen to signals: {error}")))
+}
+
 /// That the system has so many threads more: it starts them, and ends them again.
 ///
 /// # Errors

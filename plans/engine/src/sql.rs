@@ -41,6 +41,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::error::{OrFault, external};
 use crate::nodes::light::LightBatches;
+use crate::nodes::paused::Pauses;
 use crate::sql::arguments::check_arguments;
 use crate::sql::bounded::{BYTES_PER_BATCH_ROW, bound_functions};
 use crate::sql::expanded::check_expanded;
@@ -57,6 +58,7 @@ use crate::sql::written::Written;
 pub use missing::{NO_TABLE, Unlisted, explained, no_table, table_of};
 pub use size::{QUERY_WORDS, STACK_BYTES, check_size};
 pub use term::Term;
+pub(crate) use term::go_on;
 pub use volatile::{OpenValues, volatile_functions};
 
 /// What an engine process may use.
@@ -200,7 +202,8 @@ fn context_of(
         .with_expr_planners(vec![Arc::new(Members), evermap_functions::extracts()])
         .with_default_features()
         .with_query_planner(Arc::new(as_of::Planner))
-        .with_physical_optimizer_rule(Arc::new(LightBatches));
+        .with_physical_optimizer_rule(Arc::new(LightBatches))
+        .with_physical_optimizer_rule(Arc::new(Pauses));
     let context = SessionContext::new_with_state(state.build());
     context
         .register_relation_planner(Arc::new(as_of::Relations))
