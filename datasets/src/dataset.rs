@@ -7,7 +7,7 @@ use datafusion::catalog::TableProvider;
 use datafusion::common::TableReference;
 use datafusion::execution::runtime_env::RuntimeEnv;
 use datafusion::prelude::SessionContext;
-use evermap_schemas::roles::{Role, Topic};
+use evermap_schemas::roles::{CameraMount, Role, Topic};
 use evermap_schemas::{Fault, Kind};
 use futures::{FutureExt, StreamExt, TryStreamExt};
 
@@ -80,6 +80,19 @@ impl Dataset {
             unknown_topics: self.unknown_topics.clone(),
             roles: self.roles,
         }
+    }
+
+    /// Where the cameras of its sessions are mounted by their first calibrations, by name; those that are not at the frame of
+    /// their name.
+    ///
+    /// # Errors
+    /// A data fault for calibrations that cannot be decoded, a resource fault for a file that cannot be read.
+    pub async fn camera_mounts(&self) -> Result<BTreeMap<String, CameraMount>, Fault> {
+        let mut mounts = BTreeMap::new();
+        for session in &self.sessions {
+            mounts.extend(roles::camera_mounts(session).await?);
+        }
+        Ok(mounts)
     }
 
     /// Topics that are called as one of [`Dataset::table_names`] is, and so are not among [`Dataset::tables`].

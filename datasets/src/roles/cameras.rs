@@ -4,7 +4,7 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use evermap_schemas::roles::{Calibration, CameraNames, Messages, Role, calibration};
+use evermap_schemas::roles::{CAMERAS, CalibratedCamera, CameraNames, Role, calibration};
 use evermap_schemas::{Fault, rows};
 use futures::TryStreamExt;
 
@@ -46,10 +46,9 @@ pub(super) async fn read(
         for topic in topics.get(&part.session).into_iter().flatten() {
             let names = cameras.entry(part.session.clone()).or_default();
             if !names.knows(topic)
-                && let Some(messages) = ROLE.messages()
-                && let Some(first) = first(*messages, part, topic, names).await?
+                && let Some(first) = first(part, topic, names).await?
             {
-                names.add(topic, first.camera);
+                names.add(topic, first);
             }
         }
     }
@@ -72,21 +71,19 @@ fn count_doubled(topics: &Topics, parts: &[Arc<LogPart>], cameras: &Cameras) {
     }
 }
 
-/// The first calibration of a topic in a file.
+/// The camera of a topic's first calibration in a file.
 async fn first(
-    messages: Messages,
     part: &Arc<LogPart>,
     topic: &str,
     cameras: &CameraNames,
-) -> Result<Option<Calibration>, Fault> {
-    // Without the names so far: of several topics of one camera, each says so.
+) -> Result<Option<CalibratedCamera>, Fault> {
     let known = Known {
-        cameras: cameras.unnamed(),
+        cameras: cameras.clone(),
         ..Known::default()
     };
-    let mut batches = batches::<Calibration>(messages, part, topic, known, 1)?;
+    let mut batches = batches::<CalibratedCamera>(CAMERAS, part, topic, known, 1)?;
     match batches.try_next().await.or_fault()? {
-        Some(batch) => Ok(rows::<Calibration>(&batch)?.into_iter().next()),
+        Some(batch) => Ok(rows::<CalibratedCamera>(&batch)?.into_iter().next()),
         None => Ok(None),
     }
 }

@@ -16,12 +16,12 @@ use std::sync::Arc;
 
 use arrow::array::{Array, ArrayRef};
 use arrow::compute::concat;
-use arrow::datatypes::{DataType, SchemaRef};
+use arrow::datatypes::{DataType, FieldRef, SchemaRef};
 use async_trait::async_trait;
 use datafusion::catalog::TableProvider;
 use datafusion::datasource::ViewTable;
 use datafusion::prelude::SessionContext;
-use evermap_schemas::roles::{CameraNames, Messages, Role, Source};
+use evermap_schemas::roles::{CameraMount, CameraNames, Messages, Role, Source};
 use evermap_schemas::{Column, Fault, Kind, Layer};
 use futures::FutureExt;
 use tokio::sync::OnceCell;
@@ -117,10 +117,7 @@ fn without_repeats(
     let key = layer.key.iter().filter(|name| **name != "stamp");
     let columns = layer.columns.iter();
     let said = columns.filter(|column| !layer.key.contains(&column.name));
-    let mut said = said.map(|column: &Column| match column.data_type {
-        DataType::List(_) => format!("'/', array_to_string({}, ',')", column.name),
-        _ => column.name.to_owned(),
-    });
+    let mut said = said.map(|column: &Column| as_text(column.name.to_owned(), &column.data_type));
     let query = format!(
         "SELECT {columns} FROM (
             SELECT *, lag(said) OVER (PARTITION BY {key} ORDER BY stamp, said) AS said_before
@@ -139,6 +136,40 @@ fn without_repeats(
     let frame = frame.ok_or_else(|| Fault::bug("planning a view had to wait"))?;
     let plan = frame.map_err(bug)?.into_unoptimized_plan();
     Ok(Arc::new(ViewTable::new(plan, None)))
+}
+
+/// What a column says, as arguments of `concat_ws`.
+fn as_text(column: String, data_type: &DataType) -> String {
+    match data_type {
+        DataType::List(_) => format!("'/', array_to_string({column}, ',')"),
+        DataType::Struct(fields) => {
+            let within = |field: &FieldRef| {
+                let path = format!("{column}['{}']", field.name());
+                as_text(path, field.data_type())
+            };
+            let within: Vec<String> = fields.iter().map(within).collect();
+            format!("'/', {}", within.join(", "))
+        }
+        _ => column,
+    }
+}
+
+/// Where the cameras of a session are mounted by their first calibrations, by name; those that are not at the frame of their
+/// name.
+///
+/// # Errors
+/// A data fault for calibrations that cannot be decoded, a resource fault for a file that cannot be read.
+pub(crate) async fn camera_mounts(
+    session: &Session,
+) -> Result<BTreeMap<String, CameraMount>, Fault> {
+    let sessions = std::slice::from_ref(session);
+    let (topics, images) = (
+        topics(cameras::ROLE.name, sessions),
+        cameras::images(sessions),
+    );
+    let names = cameras::read(&topics, &session.parts, &images).await?;
+    let of_session = names.get(&session.name);
+    Ok(of_session.map(CameraNames::mounts).unwrap_or_default())
 }
 
 /// A role that messages play.

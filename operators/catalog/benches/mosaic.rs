@@ -60,6 +60,7 @@ fn calibration() -> Calibration {
         model: "equidistant".into(),
         intrinsics: vec![407.0, 0.0, 639.5, 0.0, 407.0, 479.5, 0.0, 0.0, 1.0],
         distortion: vec![],
+        mount: None,
     }
 }
 

@@ -5,8 +5,9 @@
 //! by whole numbers, as who reads images of another size than their calibration has to expect anyway.
 
 use crate::roles::cameras::topic_camera;
+use crate::roles::stereo::{self, CameraMount};
 use crate::roles::{Fields, FromMessage, Message, Messages, Role};
-use crate::{Stamp, record};
+use crate::{Pose, Stamp, record};
 
 record! {
     /// One camera's intrinsic calibration, valid from its stamp on; repeats of an unchanged calibration are dropped.
@@ -18,7 +19,8 @@ record! {
         session: String,
         /// Instant from which it holds.
         stamp: Stamp ["ns"],
-        /// Camera that it describes; the optical frame's name.
+        /// Camera that it describes: the optical frame's name; the topic without its last parts for a camera of a pair that
+        /// names the frame of the first one.
         camera: String,
         /// Image width that the intrinsics are for.
         width: u32 ["px"],
@@ -30,6 +32,9 @@ record! {
         intrinsics: Vec<f64> ["px"],
         /// Distortion coefficients of the model.
         distortion: Vec<f64>,
+        /// Where the camera is mounted, as rectified images look and as cameras of a pair stand; null where that is in the
+        /// frame of its name, and along its axes.
+        mount: Option<CameraMount>,
     }
 }
 
@@ -37,8 +42,11 @@ record! {
 pub const ROLE: Role = Role::of::<Calibration>(Messages {
     drop_repeats: true,
     lasting: true,
-    ..Messages::of::<Calibration>(&["sensor_msgs/CameraInfo", "foxglove.CameraCalibration"])
+    ..Messages::of::<Calibration>(TYPES)
 });
+
+/// Message types of calibrations.
+pub(super) const TYPES: &[&str] = &["sensor_msgs/CameraInfo", "foxglove.CameraCalibration"];
 
 impl FromMessage for Calibration {
     const MEMBERS: &'static [&'static str] = &[
@@ -60,53 +68,96 @@ impl FromMessage for Calibration {
     ];
 
     fn from_message(message: &Message<'_>) -> Result<Vec<Self>, String> {
-        let fields = &message.fields;
-        let frame = message.frame();
-        let camera = match frame.is_empty() {
-            true => topic_camera(message.topic),
-            false => frame,
-        };
+        let (cameras, topic, frame) = (message.cameras, message.topic, frame(message));
+        let camera = cameras.calibrated(topic, &frame);
         // Which topics are left out so is counted where cameras are named.
-        if message
-            .cameras
-            .calibrated_by(message.topic, &camera)
-            .is_some()
-        {
+        if cameras.calibrated_by(topic, &camera).is_some() {
             return Ok(Vec::new());
         }
-        let size = ["width", "height"].map(|name| pixels(fields, &[name]));
-        let region = region(fields, size)?;
-        let lens = match (message.cameras.calibrates_rectified(message.topic), region) {
-            (true, Some(_)) => {
-                return Err("expected all of the sensor where images are rectified, found a region of interest".to_owned());
-            }
-            (true, None) => rectified(fields).map(Some),
-            (false, _) => as_it_sees(fields),
-        };
-        let Some(mut lens) = lens? else {
+        let Some(said) = said(message)? else {
             return Ok(Vec::new());
         };
-        let [width, height] = region.map_or(size, |region| {
-            lens.begin_at(region.from);
-            region.size
-        });
+        let mount = stereo::mount(
+            &frame,
+            &said.pair_from_camera,
+            cameras.first_of_pair(topic, &frame),
+            cameras.calibrates_rectified(topic),
+        );
+        let [width, height] = said.size;
         let Lens {
             model,
             intrinsics,
             distortion,
-        } = lens;
+        } = said.lens;
         Ok(vec![Self {
             site: message.site.to_owned(),
             session: message.session.to_owned(),
-            stamp: message.stamp()?,
+            stamp: said.stamp,
             camera,
             width,
             height,
             model,
             intrinsics,
             distortion,
+            mount,
         }])
     }
+}
+
+/// The optical frame that a calibration names; the topic without its last parts where it names none.
+pub(super) fn frame(message: &Message<'_>) -> String {
+    let frame = message.frame();
+    match frame.is_empty() {
+        true => topic_camera(message.topic),
+        false => frame,
+    }
+}
+
+/// What a message says of a camera that is calibrated, whatever its name.
+pub(super) struct Said {
+    stamp: Stamp,
+    /// Width and height of its images, px.
+    size: [u32; 2],
+    lens: Lens,
+    /// The camera in the axes of its pair.
+    pub(super) pair_from_camera: Pose,
+}
+
+/// What a calibration says; `None` where the camera is not calibrated.
+///
+/// # Errors
+/// In words, where it makes no sense.
+pub(super) fn said(message: &Message<'_>) -> Result<Option<Said>, String> {
+    let fields = &message.fields;
+    let whole = ["width", "height"].map(|name| pixels(fields, &[name]));
+    let region = region(fields, whole)?;
+    let (lens, pair) = match (message.cameras.calibrates_rectified(message.topic), region) {
+        (true, Some(_)) => {
+            return Err(
+                "expected all of the sensor where images are rectified, found a region of interest"
+                    .to_owned(),
+            );
+        }
+        (true, None) => (Some(rectified(fields)?), stereo::pair_from_camera(fields)?),
+        // R and P are of other images: nobody needs them but a camera that stands beside the one whose frame it names.
+        (false, _) => (
+            as_it_sees(fields)?,
+            stereo::pair_from_camera(fields).unwrap_or(Pose::IDENTITY),
+        ),
+    };
+    let Some(mut lens) = lens else {
+        return Ok(None);
+    };
+    let size = region.map_or(whole, |region| {
+        lens.begin_at(region.from);
+        region.size
+    });
+    Ok(Some(Said {
+        stamp: message.stamp()?,
+        size,
+        lens,
+        pair_from_camera: pair,
+    }))
 }
 
 /// Where K holds the focal length and the centre along x, and along y: nine entries, row by row, or `fx, cx, fy, cy` and
@@ -187,8 +238,7 @@ fn as_it_sees(fields: &Fields<'_>) -> Result<Option<Lens>, String> {
     }))
 }
 
-/// The lens of rectified images: P without its last column, which says where another camera of a pair is, and no
-/// distortion.
+/// The lens of rectified images: P without its last column, and no distortion.
 fn rectified(fields: &Fields<'_>) -> Result<Lens, String> {
     let p = fields.numbers(&["p", "P"]);
     let r = fields.numbers(&["r", "R"]);
@@ -198,30 +248,12 @@ fn rectified(fields: &Fields<'_>) -> Result<Lens, String> {
             "expected P, 12 numbers that are not 0, as images are rectified, found none".to_owned(),
         );
     }
-    if is_turned(&r) {
-        return Err(
-            "expected rectified images that look as their optical frame does (R is the identity), found others: \
-             choose those that are not rectified by roles.frames in a session manifest"
-                .to_owned(),
-        );
-    }
     let rows = p.chunks_exact(4).flat_map(|row| &row[..3]);
     Ok(Lens {
         model: plain_model(""),
         intrinsics: rows.copied().collect(),
         distortion: Vec::new(),
     })
-}
-
-/// What a number of R may be off from the identity's: less than a hundredth of a pixel, of whatever lens.
-const TURNED: f64 = 1e-6;
-
-/// Whether R turns anything; one of zeros, or none, was not filled in.
-fn is_turned(r: &[f64]) -> bool {
-    let identity = [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0];
-    let off = |(entry, one): (&f64, f64)| (entry - one).abs() > TURNED;
-    let given = r.iter().any(|entry| *entry != 0.0);
-    given && (r.len() != 9 || r.iter().zip(identity).any(off))
 }
 
 fn check_finite<'a>(mut numbers: impl Iterator<Item = &'a f64>) -> Result<(), String> {
@@ -346,6 +378,12 @@ mod tests {
         }
     }
 
+    /// R of 5° about y.
+    fn turned() -> [f64; 9] {
+        let (sin, cos) = 5.0_f64.to_radians().sin_cos();
+        [cos, 0.0, sin, 0.0, 1.0, 0.0, -sin, 0.0, cos]
+    }
+
     #[test]
     fn rectified_images_have_the_lens_of_p_or_none() {
         let rect = |r: &[f64], p: &[f64], roi| lens(read(&K, r, p, roi, RECT));
@@ -353,13 +391,16 @@ mod tests {
         for r in [&ONE[..], &[0.0; 9], &[]] {
             assert_eq!(rect(r, &P, [0; 4]), Ok(([160, 120], k.to_vec(), 0)));
         }
-        let turned = [0.995, 0.0, 0.1, 0.0, 1.0, 0.0, -0.1, 0.0, 0.995];
+        let turned = turned();
+        assert_eq!(rect(&turned, &P, [0; 4]), Ok(([160, 120], k.to_vec(), 0)));
         let no_number = [f64::NAN; 12];
+        let mirrored = [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, -1.0];
         for (r, p, roi, expected) in [
             (&ONE[..], &P[..0], [0; 4], "expected P"),
             (&ONE, &[0.0; 12], [0; 4], "expected P"),
             (&ONE, &no_number, [0; 4], "finite"),
-            (&turned, &P, [0; 4], "R is the identity"),
+            (&mirrored, &P, [0; 4], "expected R to be a rotation"),
+            (&ONE[..4], &P, [0; 4], "expected 9 numbers as R, found 4"),
             (&ONE, &P, [40, 30, 80, 60], "region of interest"),
         ] {
             let said = rect(r, p, roi).err().unwrap_or_default();
@@ -368,6 +409,28 @@ mod tests {
         // Beside others nobody asks for R and P.
         let raw = lens(read(&K, &turned, &[], [0; 4], RAW));
         assert_eq!(raw, Ok(([160, 120], K.to_vec(), 5)));
+    }
+
+    #[test]
+    fn images_that_are_turned_say_where_they_look_and_others_stay_in_their_frame() {
+        let mount = |r: &[f64], images| {
+            let rows = read(&K, r, &P, [0; 4], images).unwrap_or_default();
+            rows.into_iter().next().and_then(|row| row.mount)
+        };
+        for r in [&ONE[..], &[0.0; 9], &[]] {
+            assert_eq!(mount(r, RECT), None);
+        }
+        assert_eq!(mount(&turned(), RAW), None);
+        // The other way about than R turns. Alone, a camera stands in its own frame, whatever P says.
+        let half = 2.5_f64.to_radians();
+        let found = mount(&turned(), RECT);
+        let parts = found
+            .as_ref()
+            .map(|found| found.frame_from_camera.to_array());
+        let [x, y, z, qx, qy, qz, qw] = parts.unwrap_or_default();
+        assert_eq!([x, y, z, qx, qz], [0.0; 5]);
+        assert_eq!(found.map(|found| found.frame).as_deref(), Some("front"));
+        assert!((qy + half.sin()).abs() < 1e-12 && (qw - half.cos()).abs() < 1e-12);
     }
 
     #[test]

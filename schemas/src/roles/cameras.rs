@@ -3,17 +3,37 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
+use crate::Pose;
+use crate::roles::frames::{Content, content_of};
+use crate::roles::stereo::{self, CalibratedCamera, CameraMount};
 use crate::roles::{Role, depth_frames, frames, label_frames};
 
 /// The calibrated cameras of one session.
-#[derive(Debug, Clone, Default, PartialEq, Eq)]
+#[derive(Debug, Clone, Default, PartialEq)]
 pub struct CameraNames {
     /// Camera by the prefix of its calibration's topic.
-    by_prefix: BTreeMap<String, String>,
+    by_prefix: BTreeMap<String, Named>,
     /// The prefixes of which rectified images alone are read.
     rectified: BTreeSet<String>,
     /// The prefixes of which pictures are read.
     pictured: BTreeSet<String>,
+}
+
+/// A calibrated camera, and what it is called.
+#[derive(Debug, Clone, PartialEq)]
+struct Named {
+    camera: String,
+    said: CalibratedCamera,
+    /// The first camera of its pair in the pair's axes, where it names that one's frame.
+    first: Option<Pose>,
+}
+
+impl Named {
+    /// Whether it stands beside the first camera of a pair.
+    fn is_beside(&self) -> bool {
+        let Pose { x, y, .. } = self.said.pair_from_camera;
+        [x, y] != [0.0; 2]
+    }
 }
 
 impl CameraNames {
@@ -39,15 +59,6 @@ impl CameraNames {
         }
     }
 
-    /// The same images, without any names.
-    #[must_use]
-    pub fn unnamed(&self) -> Self {
-        Self {
-            by_prefix: BTreeMap::new(),
-            ..self.clone()
-        }
-    }
-
     /// Whether a calibration topic is read as that of rectified images: no others of its prefix are read.
     pub(super) fn calibrates_rectified(&self, topic: &str) -> bool {
         self.rectified.contains(&topic_camera(topic))
@@ -56,7 +67,8 @@ impl CameraNames {
     /// Whether a camera's calibration is read as that of its rectified images; `None` where it has none, or one of either
     /// kind.
     pub(super) fn is_rectified(&self, camera: &str) -> Option<bool> {
-        let of_camera = self.by_prefix.iter().filter(|(_, name)| *name == camera);
+        let named = self.by_prefix.iter();
+        let of_camera = named.filter(|(_, named)| named.camera == camera);
         let first = self.first_pictured(camera);
         let is_left_out =
             |prefix: &String| self.pictured.contains(prefix) && first != Some(prefix.as_str());
@@ -71,17 +83,78 @@ impl CameraNames {
         self.by_prefix.contains_key(&topic_camera(topic))
     }
 
-    /// Notes the camera that a calibration topic describes.
-    pub fn add(&mut self, topic: &str, camera: String) {
-        self.by_prefix.insert(topic_camera(topic), camera);
+    /// Notes the camera that a calibration topic describes. It is called by the frame that it names; one with pictures that
+    /// stands beside another camera of that frame, the first of their pair, by its prefix.
+    pub fn add(&mut self, topic: &str, said: CalibratedCamera) {
+        let frame = said.frame.clone();
+        let named = Named {
+            camera: frame.clone(),
+            said,
+            first: None,
+        };
+        self.by_prefix.insert(topic_camera(topic), named);
+        self.pair(&frame);
+    }
+
+    /// Tells the cameras apart that name this frame. Range images that are aligned to a camera have its place, and often a P
+    /// that does not say so: they are not the first of a pair.
+    fn pair(&mut self, frame: &str) {
+        let pictured = &self.pictured;
+        let of_frame = self.by_prefix.iter();
+        let of_frame = of_frame.filter(|(_, named)| named.said.frame == frame);
+        let firsts = of_frame.filter(|(prefix, named)| {
+            let is_picture = content_of(prefix) == Content::Picture;
+            !named.is_beside() && (is_picture || pictured.contains(*prefix))
+        });
+        let first = firsts.min_by_key(|(prefix, _)| !pictured.contains(*prefix));
+        let first = first.map(|(_, named)| named.said.pair_from_camera.clone());
+        for (prefix, named) in &mut self.by_prefix {
+            if named.said.frame == frame {
+                let is_second = named.is_beside() && pictured.contains(prefix);
+                named.first = first.clone().filter(|_| is_second);
+                named.camera = match named.first {
+                    Some(_) => prefix.clone(),
+                    None => frame.to_owned(),
+                };
+            }
+        }
+    }
+
+    /// The camera of a calibration of this topic that names a frame.
+    pub(super) fn calibrated(&self, topic: &str, frame: &str) -> String {
+        match self.first_of_pair(topic, frame) {
+            Some(_) => topic_camera(topic),
+            None => frame.to_owned(),
+        }
+    }
+
+    /// The first camera of a pair, in the pair's axes, where the calibrations of this topic are of another one of the pair
+    /// that names its frame.
+    pub(super) fn first_of_pair(&self, topic: &str, frame: &str) -> Option<&Pose> {
+        let named = self.by_prefix.get(&topic_camera(topic))?;
+        named.first.as_ref().filter(|_| named.said.frame == frame)
+    }
+
+    /// Where cameras are mounted by their first calibrations, by name; those that are not at the frame of their name.
+    pub fn mounts(&self) -> BTreeMap<String, CameraMount> {
+        let mount = |(prefix, named): (&String, &Named)| {
+            if self.calibrated_by(prefix, &named.camera).is_some() {
+                return None;
+            }
+            let (said, first) = (&named.said, named.first.as_ref());
+            let is_rectified = self.rectified.contains(prefix);
+            let mount = stereo::mount(&said.frame, &said.pair_from_camera, first, is_rectified)?;
+            Some((named.camera.clone(), mount))
+        };
+        self.by_prefix.iter().filter_map(mount).collect()
     }
 
     /// The first of the prefixes with pictures whose calibrations are of a camera: what others send under its name is
     /// not read. `None` where nobody has both.
     fn first_pictured(&self, camera: &str) -> Option<&str> {
         let mut calibrated = self.by_prefix.iter();
-        let first =
-            calibrated.find(|(prefix, name)| *name == camera && self.pictured.contains(*prefix))?;
+        let first = calibrated
+            .find(|(prefix, named)| named.camera == camera && self.pictured.contains(*prefix))?;
         Some(first.0)
     }
 
@@ -101,7 +174,7 @@ impl CameraNames {
     /// What is wrong with a calibration topic whose pictures are not read, as another one with pictures is of the same
     /// camera, in words; `None` where they are.
     pub fn doubled(&self, topic: &str) -> Option<String> {
-        let camera = self.by_prefix.get(&topic_camera(topic))?;
+        let Named { camera, .. } = self.by_prefix.get(&topic_camera(topic))?;
         let first = self.pictured_by(topic, camera)?;
         Some(both_of(first, topic, camera))
     }
@@ -109,17 +182,19 @@ impl CameraNames {
     /// Whether the calibrations of this topic's prefix are of this camera.
     pub(super) fn is_calibrated_as(&self, topic: &str, camera: &str) -> bool {
         let named = self.by_prefix.get(&topic_camera(topic));
-        named.is_some_and(|name| name == camera)
+        named.is_some_and(|named| named.camera == camera)
     }
 
-    /// The camera of an image: the image's frame where a calibration has the same one, else that of the calibration
-    /// whose topic has the same prefix, else the topic's own prefix.
+    /// The camera of an image: that of the calibration whose topic has the same prefix and which names the image's frame;
+    /// else this frame where a calibration's camera is called so, else the camera of the same prefix, else the prefix.
     pub fn name(&self, topic: &str, frame: &str) -> String {
-        if !frame.is_empty() && self.by_prefix.values().any(|camera| camera == frame) {
+        let prefix = topic_camera(topic);
+        let own = self.by_prefix.get(&prefix);
+        let is_of_other = own.is_none_or(|own| own.said.frame != frame) && !frame.is_empty();
+        if is_of_other && self.by_prefix.values().any(|named| named.camera == frame) {
             return frame.to_owned();
         }
-        let prefix = topic_camera(topic);
-        self.by_prefix.get(&prefix).cloned().unwrap_or(prefix)
+        own.map(|own| own.camera.clone()).unwrap_or(prefix)
     }
 }
 
@@ -177,10 +252,21 @@ pub(super) fn is_rectified(topic: &str) -> bool {
 mod tests {
     use super::*;
 
+    /// A camera of this frame that stands so far beside the first of its pair, m.
+    fn beside(frame: &str, x: f64) -> CalibratedCamera {
+        CalibratedCamera {
+            frame: frame.to_owned(),
+            pair_from_camera: Pose {
+                x,
+                ..Pose::IDENTITY
+            },
+        }
+    }
+
     #[test]
     fn a_camera_is_named_by_its_calibration_or_by_its_topic() {
         let mut names = CameraNames::default();
-        names.add("/front/camera_info", "front_optical".to_owned());
+        names.add("/front/camera_info", beside("front_optical", 0.0));
         assert!(names.knows("/front/calibration") && !names.knows("/left/camera_info"));
         assert_eq!(
             names.name("/front/image_raw", "front_optical"),
@@ -233,10 +319,10 @@ mod tests {
             let topic = format!("/{camera}/camera_info");
             assert_eq!(names.calibrates_rectified(&topic), rectified, "{camera}");
             assert_eq!(names.is_rectified(camera), None);
-            names.add(&topic, camera.to_owned());
+            names.add(&topic, beside(camera, 0.0));
             assert_eq!(names.is_rectified(camera), Some(rectified));
         }
-        names.add("/rear/camera_info", "left".to_owned());
+        names.add("/rear/camera_info", beside("left", 0.0));
         assert_eq!(names.is_rectified("left"), None);
     }
 
@@ -254,7 +340,7 @@ mod tests {
         let mut names = CameraNames::of_images(topics);
         for prefix in ["right", "aligned", "left"] {
             let topic = format!("/{prefix}/camera_info");
-            names.add(&topic, "optical".to_owned());
+            names.add(&topic, beside("optical", 0.0));
         }
         for (topic, instead) in [
             ("/left/image_raw", None),
@@ -278,7 +364,64 @@ mod tests {
         assert_eq!(names.doubled(&info("right")).as_deref(), Some(said));
         assert_eq!(names.doubled(&info("left")), None);
         assert_eq!(names.doubled(&info("aligned")), None);
-        let unnamed = names.unnamed();
-        assert_eq!(unnamed.calibrated_by(&info("right"), "optical"), None);
+    }
+
+    #[test]
+    fn cameras_of_a_pair_that_name_one_frame_are_two() {
+        let topics = |role: &Role| match role.name {
+            "frames" => vec!["/left/image_rect", "/right/image_rect", "/third/image_rect"],
+            _ => Vec::new(),
+        };
+        let of = |calibrated: [(&str, f64); 3]| {
+            let mut names = CameraNames::of_images(topics);
+            for (prefix, x) in calibrated {
+                names.add(&format!("/{prefix}/camera_info"), beside("optical", x));
+            }
+            names
+        };
+        // In whatever order their calibrations are known.
+        for calibrated in [
+            [("left", 0.0), ("right", 0.1), ("projector", 0.05)],
+            [("projector", 0.05), ("right", 0.1), ("left", 0.0)],
+        ] {
+            let names = of(calibrated);
+            assert_eq!(names.name("/left/image_rect", "optical"), "optical");
+            for frame in ["optical", "", "of_images_alone"] {
+                assert_eq!(names.name("/right/image_rect", frame), "right");
+            }
+            // Range images that are aligned to the first one.
+            assert_eq!(names.name("/aligned/depth", "optical"), "optical");
+            let info = |prefix: &str| format!("/{prefix}/camera_info");
+            assert_eq!(names.calibrated(&info("right"), "optical"), "right");
+            assert_eq!(names.calibrated(&info("right"), "another"), "another");
+            for (prefix, camera, instead) in [
+                ("left", "optical", None),
+                ("right", "right", None),
+                ("projector", "optical", Some("left")),
+            ] {
+                assert_eq!(names.calibrated_by(&info(prefix), camera), instead);
+                assert_eq!(names.doubled(&info(prefix)), None);
+            }
+            let mounts = names.mounts().into_iter();
+            let mounts = mounts.map(|(camera, mount)| {
+                let [x, y, z, ..] = mount.frame_from_camera.to_array();
+                (camera, mount.frame, [x, y, z])
+            });
+            let right = ("right".to_owned(), "optical".to_owned(), [0.1, 0.0, 0.0]);
+            assert_eq!(mounts.collect::<Vec<_>>(), [right]);
+        }
+        // Range images that are aligned to the second one, which names its own frame.
+        let aligned = of([("right", 0.1), ("aligned_depth", 0.0), ("third", 0.2)]);
+        assert_eq!(aligned.name("/right/image_rect", "optical"), "optical");
+        // Of two that stand beside one of which nothing is known, or at one place, the first is read.
+        for x in [0.0, 0.1] {
+            let names = of([("left", x), ("right", x), ("third", x)]);
+            assert_eq!(names.name("/right/image_rect", "optical"), "optical");
+            let said = names.doubled("/right/camera_info").unwrap_or_default();
+            assert!(
+                said.contains("/left and /right are both of frame optical"),
+                "{said}"
+            );
+        }
     }
 }

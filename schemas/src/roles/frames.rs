@@ -16,7 +16,8 @@ record! {
         session: String,
         /// Exposure instant, from the message header; the log time where the message has no header.
         stamp: Stamp ["ns"],
-        /// Camera: the header's frame name where a calibration has the same one, else the topic without its last parts.
+        /// Camera: the header's frame name where a calibration has the same one; else, and for a camera of a pair that names
+        /// the frame of the first one, the topic without its last parts.
         camera: String,
         /// Topic that the image was recorded on.
         topic: String,
@@ -62,7 +63,7 @@ pub(super) enum Content {
 pub(super) const LABELS: [&str; 3] = ["label", "segmentation", "semantic"];
 
 /// What the name of an image topic speaks of.
-fn content_of(topic: &str) -> Content {
+pub(super) fn content_of(topic: &str) -> Content {
     if in_words(topic, &LABELS) {
         Content::Labels
     } else if in_words(topic, &["depth"]) {
@@ -276,8 +277,16 @@ mod tests {
     use arrow::array::{ArrayRef, StringArray, UInt8Array};
 
     use super::*;
+    use crate::Pose;
     use crate::roles::tests::members;
-    use crate::roles::{CameraNames, Fields, FoundImage, OdometryOf, ZeroStamp};
+    use crate::roles::{CalibratedCamera, CameraNames, Fields, FoundImage, OdometryOf, ZeroStamp};
+
+    fn camera(frame: &str) -> CalibratedCamera {
+        CalibratedCamera {
+            frame: frame.to_owned(),
+            pair_from_camera: Pose::IDENTITY,
+        }
+    }
 
     #[test]
     fn formats_are_named_alike() {
@@ -363,7 +372,7 @@ mod tests {
     fn images_that_their_calibration_is_not_read_for_are_refused() {
         let names = |images: &str| {
             let mut names = CameraNames::of_images(|_| vec![images]);
-            names.add("/front/camera_info", "front".to_owned());
+            names.add("/front/camera_info", camera("front"));
             names
         };
         let (raw, rect) = (names("/front/image_raw"), names("/front/image_rect"));
@@ -393,7 +402,7 @@ mod tests {
             let mut names = CameraNames::of_images(|_| pictures.clone());
             calibrated
                 .iter()
-                .for_each(|topic| names.add(topic, "right".to_owned()));
+                .for_each(|topic| names.add(topic, camera("right")));
             // The images of this test name no frame; a prefix stands for it.
             assert_eq!(read("/left/image", &names), Ok("mono8".to_owned()));
             let other = read("/right/image", &names);

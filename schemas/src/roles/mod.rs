@@ -17,12 +17,14 @@ mod mounts;
 pub mod robots;
 mod role;
 mod stamps;
+mod stereo;
 
 pub use cameras::CameraNames;
 pub use message::{FARTHEST_M, Fields, FoundImage, FromMessage, Message, Read};
 pub use mounts::Mount;
 pub use role::{Choice, Messages, Metadata, Role, Source, Topic, UNTYPED, every, in_words};
 pub use stamps::ZeroStamp;
+pub use stereo::{CAMERAS, CalibratedCamera, CameraMount};
 
 macro_rules! roles {
     ($($file:ident),+ $(,)?) => {

@@ -137,7 +137,7 @@ impl<'a> Cameras<'a> {
         let rig = self.rig.ok_or_else(|| rig::uncalibrated(name))?;
         let calibration = rig.calibration(name, stamp)?;
         let made = || {
-            let mounted = rig.vehicle_from_camera(self.vehicle, name)?;
+            let mounted = rig.vehicle_from_camera(self.vehicle, calibration)?;
             let size = [calibration.width, calibration.height];
             Ok((rig::camera(calibration, size)?, mounted))
         };

@@ -53,8 +53,8 @@ impl Operator for PeopleOnGround {
     fn work() -> Work<Self::Params> {
         let people = Port::session::<Person>("people");
         let poses = Port::session::<VehiclePose>("poses");
-        let [_, transforms] = rig::ports(Reach::Session);
-        let sides = vec![poses, transforms.optional()];
+        let mut sides = vec![poses];
+        sides.extend(rig::ports(Reach::Session).map(Port::optional));
         Work::each_row(people, sides, Placing::new, Placing::placed)
     }
 }
@@ -82,7 +82,7 @@ impl Placing {
         Ok(Self {
             params: params.clone(),
             floors,
-            rigs: rig::rigs(Vec::new(), sides.rows("transforms")?),
+            rigs: rig::rigs(sides.rows("calibration")?, sides.rows("transforms")?),
             poses: rows.into_iter().filter_map(pose).collect(),
         })
     }
@@ -135,7 +135,7 @@ impl Placing {
     fn on_floor(&self, person: &Person, pose: &Pose, flat: &Vector3<f64>) -> Option<Vector3<f64>> {
         let (vehicle, camera) = (self.params.vehicle.name(), frame(&person.camera));
         let rig = self.rigs.get(&person.session)?;
-        let mounted = rig.vehicle_from_camera(vehicle, camera).ok()?;
+        let mounted = rig.vehicle_from_image(vehicle, camera, person.stamp).ok()?;
         let floor = self.floors.get(&person.session)?;
         floor.met_by(&pose.transform(&mounted.translation), flat)
     }

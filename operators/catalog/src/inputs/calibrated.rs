@@ -66,7 +66,7 @@ impl<T> Calibrated<T> {
         // Not under the lock: a thread that waits for parts of what it makes may be given other rows to work on.
         let mounted = || {
             Ok(Mounted {
-                vehicle_from_camera: rig.vehicle_from_camera(self.vehicle.name(), camera)?,
+                vehicle_from_camera: rig.vehicle_from_camera(self.vehicle.name(), calibration)?,
                 camera: rig::camera(calibration, size)?,
             })
         };

@@ -10,6 +10,7 @@ use evermap_schemas::Stamp;
 use evermap_schemas::layers::VehiclePose;
 use evermap_schemas::roles::OdometryPose;
 
+use crate::inputs::lenses;
 use crate::inputs::outside;
 use crate::inputs::rig::{self, Rig, VehicleFrame, frame};
 
@@ -22,13 +23,13 @@ pub(crate) struct CameraPoses {
     rigs: BTreeMap<String, Rig>,
 }
 
-/// The ports that they are read from: those of a map, where they are given, or else odometry, whose frame begins anew with
-/// each session.
-pub(crate) fn ports(reach: Reach) -> [Port; 3] {
+/// The ports that they are read from: the poses of a map, where they are given, or else odometry, whose frame begins anew
+/// with each session; calibrations are those of [`lenses::port`].
+pub(crate) fn ports(reach: Reach) -> [Port; 4] {
     let [_, transforms] = rig::ports(reach);
     let poses = Port::of::<VehiclePose>("poses", reach);
     let odometry = Port::of::<OdometryPose>("odometry", reach);
-    [poses, odometry, transforms].map(Port::optional)
+    [lenses::port(reach), poses, odometry, transforms].map(Port::optional)
 }
 
 impl CameraPoses {
@@ -53,7 +54,8 @@ impl CameraPoses {
         }
         let by_time = |drive: &mut Vec<StampedPose>| drive.sort_by_key(|pose| pose.stamp_ns);
         drives.values_mut().for_each(by_time);
-        let rigs = rig::rigs(Vec::new(), sides.rows("transforms")?);
+        let mut rigs = rig::rigs(sides.rows("calibration")?, sides.rows("transforms")?);
+        rigs.retain(|_, rig| rig.is_mounted());
         Ok(Self {
             drives,
             whose,
@@ -74,7 +76,7 @@ impl CameraPoses {
         let (Some(drive), Some(rig)) = (self.drives.get(session), self.rigs.get(session)) else {
             return Ok(None);
         };
-        let vehicle_from_camera = rig.vehicle_from_camera(vehicle.name(), frame(camera))?;
+        let vehicle_from_camera = rig.vehicle_from_image(vehicle.name(), frame(camera), stamp)?;
         let map_from_vehicle = self.vehicle_at(drive, stamp.0)?;
         Ok(map_from_vehicle.map(|pose| pose.compose(&vehicle_from_camera)))
     }

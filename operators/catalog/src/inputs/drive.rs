@@ -142,7 +142,10 @@ pub(crate) fn is_recalibrated(rows: &[Features], sides: &Sides) -> Result<bool, 
     let changes = |(first, last): (&Features, &Features)| {
         let (rig, name) = (mounted.get(&first.session)?, frame(&first.camera));
         let size = [first.width, first.height];
-        let lens = |calibration: &Arc<Calibration>| rig::camera(calibration, size).ok();
+        let lens = |calibration: &Arc<Calibration>| {
+            let frame_from_camera = rig::frame_from_camera(calibration).ok()?;
+            Some((rig::camera(calibration, size).ok()?, frame_from_camera))
+        };
         let used = lens(rig.calibration(name, first.stamp).ok()?)?;
         let mut later = rig
             .recalibrations(name, first.stamp, last.stamp)
@@ -154,14 +157,16 @@ pub(crate) fn is_recalibrated(rows: &[Features], sides: &Sides) -> Result<bool, 
     Ok(ends.and_then(changes).unwrap_or_default())
 }
 
-/// Whether another lens has the rays of pixels elsewhere.
-fn moves(used: &Camera, other: &Camera) -> bool {
+/// Whether another lens, as it is mounted, has the rays of pixels elsewhere.
+fn moves((used, mounted): &(Camera, Pose), (other, other_mounted): &(Camera, Pose)) -> bool {
+    let other_from_used = other_mounted.inverse().compose(mounted);
     const TRIED: u32 = 5;
     let at = |step: u32, size: u32| f64::from(step) / f64::from(TRIED - 1) * f64::from(size - 1);
     let mut places = (0..TRIED).flat_map(|v| (0..TRIED).map(move |u| [u, v]));
     places.any(|[u, v]| {
         let pixel = [at(u, used.width), at(v, used.height)];
-        let moved = used.unproject(pixel).and_then(|ray| other.project(&ray));
+        let ray = used.unproject(pixel);
+        let moved = ray.and_then(|ray| other.project(&other_from_used.rotate(&ray)));
         moved.is_some_and(|[u, v]| (u - pixel[0]).hypot(v - pixel[1]) > SAME_PX)
     })
 }
@@ -237,7 +242,7 @@ fn camera(rig: &rig::Rig, row: &Features, vehicle: &VehicleFrame) -> Result<RigC
     Ok(RigCamera {
         name: row.camera.clone(),
         camera: rig::camera(calibration, [row.width, row.height])?,
-        vehicle_from_camera: rig.vehicle_from_camera(vehicle.name(), name)?,
+        vehicle_from_camera: rig.vehicle_from_camera(vehicle.name(), calibration)?,
     })
 }
 

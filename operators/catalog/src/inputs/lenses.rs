@@ -65,6 +65,7 @@ mod tests {
             model: model.into(),
             intrinsics: vec![f, 511.5, f, 166.0],
             distortion: Vec::new(),
+            mount: None,
         }
     }
 

@@ -169,7 +169,7 @@ impl Rig {
             Some(RigCamera {
                 name: name.clone(),
                 camera: camera(first, [first.width, first.height]).ok()?,
-                vehicle_from_camera: self.vehicle_from_camera(vehicle.name(), name).ok()?,
+                vehicle_from_camera: self.vehicle_from_camera(vehicle.name(), first).ok()?,
             })
         };
         MountedCameras {
@@ -204,20 +204,64 @@ impl Rig {
         chain
     }
 
-    /// Through the nearest common ancestor of the two frames, of which the vehicle's may be the only one of its name behind
-    /// a prefix.
-    pub(crate) fn vehicle_from_camera(&self, vehicle: &str, camera: &str) -> Result<Pose, Reason> {
-        let of_camera = self.ancestors(camera);
+    /// Whether the session has fixed transforms.
+    pub(crate) fn is_mounted(&self) -> bool {
+        !self.mounts.is_empty()
+    }
+
+    /// A frame on the vehicle, through the nearest common ancestor of the two, of which the vehicle's may be the only one of
+    /// its name behind a prefix.
+    pub(crate) fn vehicle_from_frame(&self, vehicle: &str, frame: &str) -> Result<Pose, Reason> {
+        let of_frame = self.ancestors(frame);
         let prefixed = || {
-            let frames = self.frames().chain([camera]);
-            self.vehicle_from(frame_names::meant(vehicle, frames)?, &of_camera)
+            let frames = self.frames().chain([frame]);
+            self.vehicle_from(frame_names::meant(vehicle, frames)?, &of_frame)
         };
-        let found = self.vehicle_from(vehicle, &of_camera).or_else(prefixed);
+        let found = self.vehicle_from(vehicle, &of_frame).or_else(prefixed);
         found.ok_or_else(|| {
-            let ends = of_camera.last().map_or(camera, |(ancestor, _)| *ancestor);
-            apart(camera, vehicle, ends)
+            let ends = of_frame.last().map_or(frame, |(ancestor, _)| *ancestor);
+            apart(frame, vehicle, ends)
         })
     }
+
+    /// The camera of a calibration on the vehicle, as its images look: from where its frame is, or where the calibration
+    /// says that it is mounted. The one place that says so.
+    pub(crate) fn vehicle_from_camera(
+        &self,
+        vehicle: &str,
+        calibration: &Calibration,
+    ) -> Result<Pose, Reason> {
+        let Some(mount) = &calibration.mount else {
+            return self.vehicle_from_frame(vehicle, frame(&calibration.camera));
+        };
+        let vehicle_from_frame = self.vehicle_from_frame(vehicle, frame(&mount.frame))?;
+        Ok(vehicle_from_frame.compose(&frame_from_camera(calibration)?))
+    }
+
+    /// The camera of an image on the vehicle, by the calibration that holds; one without any is at the frame of its name.
+    pub(crate) fn vehicle_from_image(
+        &self,
+        vehicle: &str,
+        camera: &str,
+        stamp: Stamp,
+    ) -> Result<Pose, Reason> {
+        match self.calibration(camera, stamp) {
+            Ok(calibration) => self.vehicle_from_camera(vehicle, calibration),
+            Err(_) => self.vehicle_from_frame(vehicle, camera),
+        }
+    }
+}
+
+/// The camera of a calibration, as its images look, in the frame that it is mounted on.
+pub(crate) fn frame_from_camera(calibration: &Calibration) -> Result<Pose, Reason> {
+    let Some(mount) = &calibration.mount else {
+        return Ok(Pose::identity());
+    };
+    let found = Pose::from_array(mount.frame_from_camera.to_array());
+    found.map_err(|error| {
+        let (name, error) = (shown(&calibration.camera), error.to_string());
+        format!("mount of camera `{name}`: {error}").into()
+    })
 }
 
 /// A text from a log, such that it can be printed: what moves a cursor is escaped, quotes stay.
@@ -294,154 +338,4 @@ fn scale(k: &mut [f64], x: f64, y: f64) {
 }
 
 #[cfg(test)]
-mod tests {
-    use evermap_schemas::Pose as Placed;
-
-    use super::*;
-
-    /// The fixed transforms of a session, each a metre ahead of its parent.
-    fn mounts(mounts: &[(&str, &str)]) -> Vec<Transform> {
-        let mount = |(parent, child): &(&str, &str)| Transform {
-            site: String::new(),
-            session: String::new(),
-            stamp: Stamp(0),
-            parent: (*parent).to_owned(),
-            child: (*child).to_owned(),
-            parent_from_child: Placed {
-                x: 1.0,
-                ..Placed::IDENTITY
-            },
-            fixed: true,
-        };
-        mounts.iter().map(mount).collect()
-    }
-
-    /// The rig of a session with these fixed transforms, each a metre ahead of its parent.
-    fn rig(transforms: &[(&str, &str)]) -> Rig {
-        let mut rig = Rig::default();
-        let all = mounts(transforms).into_iter();
-        all.for_each(|row| rig.mount(row));
-        rig
-    }
-
-    /// How far ahead of the vehicle a camera is.
-    fn ahead(rig: &Rig, vehicle: &str, camera: &str) -> Option<f64> {
-        let found = rig.vehicle_from_camera(vehicle, camera).ok()?;
-        Some(found.translation.x)
-    }
-
-    #[test]
-    fn a_calibration_that_no_lens_has_says_what_is_wrong() {
-        let calibration = |focal: f64, k1: f64| Calibration {
-            site: String::new(),
-            session: String::new(),
-            stamp: Stamp(0),
-            camera: "front".to_owned(),
-            width: 400,
-            height: 300,
-            model: "equidistant".to_owned(),
-            intrinsics: vec![focal, 0.0, 199.5, 0.0, focal, 149.5, 0.0, 0.0, 1.0],
-            distortion: vec![k1, 0.0, 0.0, 0.0],
-        };
-        let reason = |focal, k1| {
-            let made = camera(&calibration(focal, k1), [200, 150]);
-            made.err().map(|reason| reason.to_string())
-        };
-        for (focal, k1, expected) in [
-            (1e308, 0.0, "expected focal lengths"),
-            (1e-300, 0.0, "expected focal lengths"),
-            (128.0, 1e300, "expected a ray"),
-        ] {
-            let reason = reason(focal, k1).unwrap_or_default();
-            let named = reason.starts_with("calibration of camera `front`");
-            assert!(named && reason.contains(expected), "{reason}");
-        }
-        assert_eq!(reason(128.0, -0.01), None);
-    }
-
-    #[test]
-    fn binned_images_of_a_part_of_a_sensor_have_the_lens_that_it_has() {
-        let part = Calibration {
-            site: String::new(),
-            session: String::new(),
-            stamp: Stamp(0),
-            camera: "front".to_owned(),
-            width: 80,
-            height: 60,
-            model: "plumb_bob".to_owned(),
-            intrinsics: vec![128.0, 0.0, 39.5, 0.0, 120.0, 24.5, 0.0, 0.0, 1.0],
-            distortion: Vec::new(),
-        };
-        let whole = camera(&part, [80, 60]).ok();
-        let binned = camera(&part, [40, 30]).ok();
-        for pixel in [[0.0, 0.0], [79.0, 59.0], [39.5, 24.5]] {
-            let rays = [
-                (&whole, pixel),
-                (&binned, pixel.map(|at| (at + 0.5) / 2.0 - 0.5)),
-            ];
-            let rays = rays.map(|(camera, at)| camera.as_ref()?.unproject(at));
-            let angle = rays[0].zip(rays[1]).map(|(one, other)| one.angle(&other));
-            assert!(angle.is_some_and(|angle| angle < 1e-6), "{angle:?}");
-        }
-        // Along one side alone.
-        assert!(camera(&part, [40, 60]).is_err());
-    }
-
-    #[test]
-    fn what_a_log_says_is_shown_without_what_moves_a_cursor_and_with_its_quotes() {
-        let text = "model \"kannala_v9\" of 'é'";
-        assert_eq!(shown(text), text);
-        assert_eq!(shown("a\u{1b}[2J\n"), "a\\u{1b}[2J\\n");
-        assert_eq!(shown(&"x".repeat(1000)).len(), 120);
-    }
-
-    #[test]
-    fn a_vehicle_is_found_behind_the_only_prefix() {
-        let one = rig(&[("a/base_link", "a/mast"), ("a/mast", "a/front")]);
-        assert_eq!(ahead(&one, USUAL_VEHICLE, "a/front"), Some(2.0));
-        assert_eq!(ahead(&one, "/a/base_link", "a/front"), Some(2.0));
-        assert_eq!(ahead(&one, "b/base_link", "a/front"), None);
-        assert_eq!(ahead(&rig(&[]), USUAL_VEHICLE, "a/base_link"), Some(0.0));
-    }
-
-    #[test]
-    fn what_carries_the_vehicle_is_found_with_where_it_is_on_it() {
-        let carried = |transforms: &[(&str, &str)], vehicle: &str| {
-            let vehicle = VehicleFrame {
-                vehicle_frame: vehicle.to_owned(),
-            };
-            let found = footing(mounts(transforms), &vehicle);
-            let x = found.vehicle_from_root.map(|pose| pose.translation.x);
-            (found.vehicle, found.root, x)
-        };
-        let expected = |vehicle: &str, root: &str, x| (vehicle.to_owned(), root.to_owned(), x);
-        let foot = [
-            ("foot", "/base_link"),
-            ("base_link", "mast"),
-            ("mast", "front"),
-        ];
-        assert_eq!(carried(&foot, "foot"), expected("foot", "foot", None));
-        let base = expected("base_link", "foot", Some(-1.0));
-        assert_eq!(carried(&foot, "/base_link"), base);
-        let mast = expected("mast", "foot", Some(-2.0));
-        assert_eq!(carried(&foot, "mast"), mast);
-        let prefixed = [("a/foot", "a/base_link"), ("b/foot", "b/front")];
-        let base = expected("a/base_link", "a/foot", Some(-1.0));
-        assert_eq!(carried(&prefixed, USUAL_VEHICLE), base);
-        let alone = expected("chassis", "chassis", None);
-        assert_eq!(carried(&foot, "chassis"), alone);
-    }
-
-    #[test]
-    fn of_several_robots_none_is_taken_unless_it_is_named() {
-        let two = rig(&[("a/base_link", "a/front"), ("b/base_link", "b/front")]);
-        assert_eq!(ahead(&two, USUAL_VEHICLE, "a/front"), None);
-        assert_eq!(ahead(&two, "b/base_link", "b/front"), Some(1.0));
-        assert_eq!(ahead(&two, "b/base_link", "a/front"), None);
-        let reason = two.vehicle_from_camera(USUAL_VEHICLE, "a/front");
-        let reason = reason.err().map(|reason| reason.to_string());
-        let expected =
-            "fixed transforms from frame `a/front` lead to `a/base_link`, not to `base_link`";
-        assert_eq!(reason.as_deref(), Some(expected));
-    }
-}
+mod tests;

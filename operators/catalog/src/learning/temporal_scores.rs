@@ -169,7 +169,7 @@ impl Window {
         let camera = frame(&scores.camera);
         let calibration = self.rig.calibration(camera, scores.stamp)?;
         let vehicle = self.params.vehicle.name();
-        let vehicle_from_camera = self.rig.vehicle_from_camera(vehicle, camera)?;
+        let vehicle_from_camera = self.rig.vehicle_from_camera(vehicle, calibration)?;
         let camera = rig::camera(calibration, [scores.width, scores.height])?;
         let odom_from_vehicle = pose_at(&self.odometry, scores.stamp.0, MAX_GAP_NS)
             .ok_or("no odometry at the view's instant")?;

@@ -69,7 +69,7 @@ fn hang(
     let mounts = mounts.into_values().next().unwrap_or_default();
     let vehicle = params.vehicle.name();
     let antenna = |name: &str| -> Option<Vector3<f64>> {
-        let placed = mounts.vehicle_from_camera(vehicle, name);
+        let placed = mounts.vehicle_from_frame(vehicle, name);
         let given = || params.antennas.get(name).or(params.antennas.get("*"));
         placed
             .ok()

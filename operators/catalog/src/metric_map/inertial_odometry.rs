@@ -39,7 +39,7 @@ fn stand_up(
     if let Some(first) = imu.first() {
         let mounts = rig::rigs(Vec::new(), sides.rows("transforms")?);
         let mounts = mounts.into_values().next().unwrap_or_default();
-        let mounted = mounts.vehicle_from_camera(vehicle.name(), frame(&first.frame));
+        let mounted = mounts.vehicle_from_frame(vehicle.name(), frame(&first.frame));
         let stood_up = mounted
             .map_err(|reason| format!("IMU without a place on the vehicle: {reason}").into())
             .and_then(|mount| upright(&mut rows, &imu, &mount).map_err(reason));

@@ -14,7 +14,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::inputs::camera_poses::{self, CameraPoses};
 use crate::inputs::graphs;
-use crate::inputs::lenses::{self, Lenses};
+use crate::inputs::lenses::Lenses;
 use crate::inputs::pixels::{self, too_many_classes};
 use crate::inputs::rig::VehicleFrame;
 
@@ -52,8 +52,7 @@ impl Operator for Views {
 
     fn work() -> Work<Self::Params> {
         let labels = Port::session::<LabelImage>("labels");
-        let mut sides = vec![lenses::port(Reach::Session)];
-        sides.extend(camera_poses::ports(Reach::Session));
+        let mut sides = camera_poses::ports(Reach::Session).to_vec();
         sides.push(Port::session::<Frame>("depth_frames").optional());
         Work::batches(labels, sides, Site::new, Site::views)
     }

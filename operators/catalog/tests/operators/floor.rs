@@ -54,6 +54,7 @@ impl Mounted {
             model: model.into(),
             intrinsics: vec![focal, 0.0, 199.7, 0.0, focal, 149.2, 0.0, 0.0, 1.0],
             distortion: vec![],
+            mount: None,
         };
         Self {
             calibration,

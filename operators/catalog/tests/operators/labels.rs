@@ -473,6 +473,7 @@ fn camera() -> (Calibration, Transform) {
         model: "plumb_bob".into(),
         intrinsics: vec![320.0, 0.0, 319.5, 0.0, 320.0, 239.5, 0.0, 0.0, 1.0],
         distortion: vec![],
+        mount: None,
     };
     let mount = Transform {
         site: "lot".into(),

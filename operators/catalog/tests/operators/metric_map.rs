@@ -169,6 +169,7 @@ fn calibration() -> Vec<Calibration> {
         model: "equidistant".into(),
         intrinsics: K.to_vec(),
         distortion: vec![0.0; 4],
+        mount: None,
     };
     vec![of("a"), of("b")]
 }

@@ -216,6 +216,7 @@ pub fn cameras(session: &str) -> Vec<Calibration> {
         model: "equidistant".into(),
         intrinsics: vec![120.0, 0.0, 199.5, 0.0, 120.0, 149.5, 0.0, 0.0, 1.0],
         distortion: vec![0.1, 0.0, 0.0, 0.0],
+        mount: None,
     }]
 }
 
