@@ -1,11 +1,12 @@
 //! Frames of cameras: those that are not optical, whose images are read as if they were.
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 
+use evermap_algorithms::geometry::pose::Pose;
 use evermap_datasets::Dataset;
 use evermap_engine::sql::{Limits, context};
 use evermap_schemas::Fault;
-use evermap_schemas::roles::Transform;
+use evermap_schemas::roles::{CameraMount, Transform};
 
 use crate::coordinate_frames::cameras_of;
 use crate::odometry_frame::{LOOKED_AT, fixed_transforms, tied};
@@ -27,14 +28,18 @@ pub async fn notes(dataset: &Dataset, vehicle: &str) -> Result<Vec<String>, Faul
     let pictured = pictured.filter(|session| !session.roles.topics("frames").is_empty());
     for session in pictured.take(LOOKED_AT) {
         // A table of all sessions looks at the files of all.
-        let context = context(Limits::one_partition())?;
-        dataset.of_session(session).register(&context)?;
+        let (context, dataset) = (
+            context(Limits::one_partition())?,
+            dataset.of_session(session),
+        );
+        dataset.register(&context)?;
         // What cannot be read of a log is told where its rows are read.
         let cameras = cameras_of(&context, &session.name, IMAGES).await;
         let transforms = fixed_transforms(&context, &session.name).await;
         let found = not_optical(
             &transforms.unwrap_or_default(),
             &cameras.unwrap_or_default(),
+            &dataset.camera_mounts().await.unwrap_or_default(),
             vehicle,
         );
         notes.extend(found.map(|note| format!("session {}: {note}", session.name)));
@@ -42,14 +47,24 @@ pub async fn notes(dataset: &Dataset, vehicle: &str) -> Result<Vec<String>, Faul
     Ok(notes)
 }
 
-/// That cameras have frames whose z axis goes up on the vehicle, and which.
+/// That cameras look along axes that go up on the vehicle, by their frames or by where they are mounted in others, and
+/// which.
 fn not_optical(
     transforms: &[Transform],
     cameras: &BTreeSet<String>,
+    mounts: &BTreeMap<String, CameraMount>,
     vehicle: &str,
 ) -> Option<String> {
+    let camera_from_vehicle = |camera: &String| {
+        let Some(mount) = mounts.get(camera) else {
+            return Some(tied(transforms, camera, vehicle)?.0);
+        };
+        let (frame_from_vehicle, _) = tied(transforms, &mount.frame, vehicle)?;
+        let frame_from_camera = Pose::from_array(mount.frame_from_camera.to_array()).ok()?;
+        Some(frame_from_camera.inverse().compose(&frame_from_vehicle))
+    };
     let angle = |camera: &String| {
-        let (camera_from_vehicle, _) = tied(transforms, camera, vehicle)?;
+        let camera_from_vehicle = camera_from_vehicle(camera)?;
         let [_, _, _, qx, qy, ..] = camera_from_vehicle.to_array();
         let up = 1.0 - 2.0 * (qx * qx + qy * qy);
         (up > STEEP).then(|| format!("{camera} {:.0}°", up.min(1.0).acos().to_degrees()))
@@ -66,7 +81,7 @@ fn not_optical(
 
 #[cfg(test)]
 mod tests {
-    use evermap_schemas::{Pose, Stamp};
+    use evermap_schemas::{Pose as Placed, Stamp};
 
     use super::*;
 
@@ -78,7 +93,7 @@ mod tests {
             stamp: Stamp(0),
             parent: "base_link".to_owned(),
             child: child.to_owned(),
-            parent_from_child: Pose {
+            parent_from_child: Placed {
                 x: 1.0,
                 y: 0.0,
                 z: 1.5,
@@ -107,11 +122,36 @@ mod tests {
         ];
         let note = |cameras: &[&str]| {
             let cameras = cameras.iter().map(|name| (*name).to_owned()).collect();
-            not_optical(&transforms, &cameras, "base_link")
+            not_optical(&transforms, &cameras, &BTreeMap::new(), "base_link")
         };
         assert_eq!(note(&["optical", "steep", "down", "nowhere"]), None);
         let said = note(&["left", "optical", "pitched", "straight"]).unwrap_or_default();
         let found = "straight up: left 0°, pitched 25°, straight 0°; images";
         assert!(said.contains(found), "{said}");
+        // Mounted in a frame: turned out of what its own would be told for, and into it.
+        let [qx, qy, qz, qw] = about_y(20.0);
+        let frame_from_camera = Placed {
+            qx,
+            qy,
+            qz,
+            qw,
+            ..Placed::IDENTITY
+        };
+        let mount = |frame: &str| CameraMount {
+            frame: frame.to_owned(),
+            frame_from_camera: frame_from_camera.clone(),
+        };
+        let mounts = [
+            ("pitched", mount("pitched")),
+            ("pair/right", mount("straight")),
+        ];
+        let mounts = mounts.map(|(camera, mount)| (camera.to_owned(), mount));
+        let cameras = BTreeSet::from(["pitched", "pair/right"].map(str::to_owned));
+        let mounts = BTreeMap::from(mounts);
+        let said = not_optical(&transforms, &cameras, &mounts, "base_link").unwrap_or_default();
+        assert!(
+            said.contains("straight up: pair/right 20°; images"),
+            "{said}"
+        );
     }
 }

@@ -8,8 +8,8 @@ use arrow::util::display::array_value_to_string;
 use datafusion::prelude::SessionContext;
 use evermap_catalog::USUAL_VEHICLE;
 use evermap_schemas::Fault;
-use evermap_schemas::roles::frame_names;
 use evermap_schemas::roles::robots::Robots;
+use evermap_schemas::roles::{CameraMount, frame_names};
 use serde::Serialize;
 
 use crate::reader::answered;
@@ -52,11 +52,15 @@ pub struct Camera {
 }
 
 impl CoordinateFrames {
-    /// Reads them from the tables of the sessions that are registered with a context.
+    /// Reads them from the tables of the sessions that are registered with a context; `mounts` are those of their cameras
+    /// that are not at the frame of their name.
     ///
     /// # Errors
     /// A resource fault when a log cannot be read.
-    pub async fn read(context: &SessionContext) -> Result<Self, Fault> {
+    pub async fn read(
+        context: &SessionContext,
+        mounts: &BTreeMap<String, CameraMount>,
+    ) -> Result<Self, Fault> {
         let transforms = format!(
             "SELECT DISTINCT parent, child, fixed FROM (SELECT parent, child, fixed FROM transforms LIMIT {TRANSFORMS}) \
              ORDER BY fixed DESC, parent, child"
@@ -74,10 +78,13 @@ impl CoordinateFrames {
             "SELECT DISTINCT camera, topic FROM (SELECT camera, topic FROM frames LIMIT {IMAGES}) ORDER BY camera, topic"
         );
         let cameras = texts_of(context, &cameras).await?.into_iter();
-        let cameras = cameras.map(|[camera, topic]| Camera {
-            mounted_on: mounted_on(&transforms, &frame(&camera)),
-            camera,
-            topic,
+        let cameras = cameras.map(|[camera, topic]| {
+            let of_camera = mounts.get(&camera).map_or(&camera, |mount| &mount.frame);
+            Camera {
+                mounted_on: mounted_on(&transforms, &frame(of_camera)),
+                camera,
+                topic,
+            }
         });
         Ok(Self {
             cameras: cameras.collect(),

@@ -36,7 +36,8 @@ pub async fn inspect(args: &InspectArgs) -> Ending {
     let dataset = Dataset::open(&context.runtime_env(), &args.files, None).await?;
     dataset.register(&context)?;
     if args.manifest {
-        let frames = CoordinateFrames::read(&context).await?;
+        let mounts = dataset.camera_mounts().await?;
+        let frames = CoordinateFrames::read(&context, &mounts).await?;
         let manifest = written(&dataset, &frames, &context).await?;
         writeln!(std::io::stdout(), "{manifest}")?;
         return Ok(lost([&dataset]));
@@ -52,7 +53,10 @@ pub async fn inspect(args: &InspectArgs) -> Ending {
     };
     let frames = match args.quick {
         true => None,
-        false => Some(CoordinateFrames::read(&context).await?),
+        false => {
+            let mounts = dataset.camera_mounts().await?;
+            Some(CoordinateFrames::read(&context, &mounts).await?)
+        }
     };
     let read = match args.quick {
         true => Cow::Borrowed(&part.index),

@@ -26,7 +26,8 @@ pub(super) type Picture = CompressedImage;
 pub(super) struct Image {
     /// Session that it was taken in.
     pub(super) session: String,
-    camera: String,
+    /// The frame along which it looks.
+    frame_id: String,
     /// Where its bytes are.
     pub(super) reference: ImageRef,
 }
@@ -41,7 +42,7 @@ impl Image {
         };
         CompressedImage {
             timestamp: time(stamp),
-            frame_id: frame(&self.session, &self.camera),
+            frame_id: self.frame_id.clone(),
             data: Bytes::from(bytes),
             format: format.to_owned(),
         }
@@ -87,16 +88,25 @@ pub(super) async fn said(
             all.push(Said::new(first, "/tf", &message)?.for_good());
         }
     }
+    let mut frames = BTreeMap::new();
     for row in first_of_each(cameras) {
-        if let Some(first) = firsts.get(&row.session)
-            && let Some(message) = calibration(&row, *first)
-        {
+        let Some(first) = firsts.get(&row.session) else {
+            continue;
+        };
+        let frame_id = frame_of(&row);
+        if let Some(mount) = &row.mount {
+            let parent = frame(&row.session, &mount.frame);
+            let message = transform(*first, parent, frame_id.clone(), &mount.frame_from_camera);
+            all.push(Said::new(*first, "/tf", &message)?.for_good());
+        }
+        if let Some(message) = calibration(&row, frame_id.clone(), *first) {
             let topic = format!("{}/calibration", topic(&row.session, &row.camera));
             all.push(Said::new(*first, topic, &message)?.for_good());
         }
+        frames.insert((row.session, row.camera), frame_id);
     }
     let is_driven = |session: &String| firsts.contains_key(session);
-    all.extend(images(reader.rows(Some(site)).await?, is_driven));
+    all.extend(images(reader.rows(Some(site)).await?, &frames, is_driven));
     let people: Vec<Person> = reader.rows(Some(site)).await?;
     all.extend(annotations(people, is_driven)?);
     Ok(all)
@@ -196,8 +206,17 @@ fn first_of_each(mut cameras: Vec<Calibration>) -> Vec<Calibration> {
     cameras
 }
 
+/// The frame along which a camera's images look: that of its name, but for rectified images, which are turned against it.
+fn frame_of(row: &Calibration) -> String {
+    let own = frame(&row.session, &row.camera);
+    match &row.mount {
+        Some(mount) if frame(&row.session, &mount.frame) == own => format!("{own}_rectified"),
+        _ => own,
+    }
+}
+
 /// A camera's calibration; `None` for models that Foxglove does not know.
-fn calibration(row: &Calibration, stamp: i64) -> Option<CameraCalibration> {
+fn calibration(row: &Calibration, frame_id: String, stamp: i64) -> Option<CameraCalibration> {
     let model = match row.model.as_str() {
         "equidistant" => "kannala_brandt",
         known @ ("plumb_bob" | "rational_polynomial") => known,
@@ -208,7 +227,7 @@ fn calibration(row: &Calibration, stamp: i64) -> Option<CameraCalibration> {
     };
     Some(CameraCalibration {
         timestamp: time(stamp),
-        frame_id: frame(&row.session, &row.camera),
+        frame_id,
         width: row.width,
         height: row.height,
         distortion_model: model.to_owned(),
@@ -219,15 +238,21 @@ fn calibration(row: &Calibration, stamp: i64) -> Option<CameraCalibration> {
     })
 }
 
-fn images(keyframes: Vec<Keyframe>, is_driven: impl Fn(&String) -> bool) -> Vec<Said> {
+/// The images of keyframes, in the frames of their sessions' cameras; one without a calibration is in that of its name.
+fn images(
+    keyframes: Vec<Keyframe>,
+    frames: &BTreeMap<(String, String), String>,
+    is_driven: impl Fn(&String) -> bool,
+) -> Vec<Said> {
     let of_session = keyframes.into_iter().filter(|row| is_driven(&row.session));
     let images = of_session.flat_map(|row| {
         let session = row.session;
         row.images.into_iter().map(move |image| {
             let topic = topic(&session, &image.camera);
+            let known = frames.get(&(session.clone(), image.camera.clone()));
             let picture = Image {
                 session: session.clone(),
-                camera: image.camera,
+                frame_id: known.map_or_else(|| frame(&session, &image.camera), String::clone),
                 reference: image.image,
             };
             Said::of(image.stamp.0, topic, What::Image(Box::new(picture)))
