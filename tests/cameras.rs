@@ -11,6 +11,7 @@ use tempfile::TempDir;
 
 const IMAGE: &str = "sensor_msgs/Image";
 const TRANSFORM: &str = "foxglove.FrameTransform";
+const FOXGLOVE: &str = "foxglove.CameraCalibration";
 
 /// Sizes of the images: px.
 const SIDE: usize = 160;
@@ -35,6 +36,7 @@ impl Logs {
             let members = match *schema {
                 IMAGE => image_members(),
                 "sensor_msgs/CameraInfo" => calibration_members(),
+                FOXGLOVE => foxglove_members(),
                 TRANSFORM => transform_members(),
                 _ => json!({"data": {"type": "string", "contentEncoding": "base64"}}),
             };
@@ -82,6 +84,15 @@ fn calibration_members() -> Value {
     json!({
         "header": header(), "height": number, "width": number, "distortion_model": {"type": "string"},
         "d": numbers, "k": numbers, "r": numbers, "p": numbers, "roi": object(roi),
+    })
+}
+
+fn foxglove_members() -> Value {
+    let (number, string) = (json!({"type": "integer"}), json!({"type": "string"}));
+    let numbers = json!({"type": "array", "items": {"type": "number"}});
+    json!({
+        "frame_id": string, "height": number, "width": number, "distortion_model": string, "D": numbers,
+        "K": numbers, "R": numbers, "P": numbers,
     })
 }
 
@@ -301,6 +312,98 @@ fn rectified_images_have_the_lens_of_p_and_others_go_before_them() {
     let found = query(&without, &[], LENSES).expect(3);
     assert_eq!(found.json(), json!([]));
     assert!(found.stderr.contains("expected P"), "{}", found.stderr);
+}
+
+/// R, row by row, of a turn about y.
+fn about_y(degrees: f64) -> [f64; 9] {
+    let (sin, cos) = degrees.to_radians().sin_cos();
+    [cos, 0.0, sin, 0.0, 1.0, 0.0, -sin, 0.0, cos]
+}
+
+/// The calibration of a rectified camera of the frame `front`, with the translation of P along x.
+fn rectified(r: [f64; 9], tx: f64) -> Value {
+    let mut p = P;
+    p[3] = tx;
+    let mut said = calibration([0; 4], &p);
+    said["r"] = json!(r);
+    said
+}
+
+/// The same as Foxglove spells it.
+fn spelt_by_foxglove(said: &Value) -> Value {
+    json!({
+        "frame_id": "front", "width": 160, "height": 120, "distortion_model": "plumb_bob",
+        "D": said["d"], "K": said["k"], "R": said["r"], "P": said["p"],
+    })
+}
+
+/// Where cameras are mounted in which frame, and the part of their turn about y.
+const MOUNTS: &str = "SELECT camera, mount['frame'] AS frame, round(mount['frame_from_camera']['x'], 6) AS x, \
+                      round(mount['frame_from_camera']['z'], 6) AS z, \
+                      round(mount['frame_from_camera']['qy'], 6) AS qy FROM calibration ORDER BY camera";
+
+#[test]
+fn a_pair_of_rectified_cameras_that_name_one_frame_is_two_and_looks_along_the_first_ones_images() {
+    let logs = Logs::new();
+    let mount = json!({
+        "parent_frame_id": "base_link", "child_frame_id": "front",
+        "translation": {"x": 1.0, "y": 0.0, "z": 1.5},
+        "rotation": {"x": -0.5, "y": 0.5, "z": -0.5, "w": 0.5},
+    });
+    // The baseline is 0.12 m. R of the second one is of its own axes, whose frame nobody names.
+    let (left, right) = (
+        rectified(about_y(5.0), 0.0),
+        rectified(about_y(-3.0), -12.0),
+    );
+    for (name, schema) in [("ros", "sensor_msgs/CameraInfo"), ("foxglove", FOXGLOVE)] {
+        let info = |topic, said: &Value| {
+            let said = match schema {
+                FOXGLOVE => spelt_by_foxglove(said),
+                _ => said.clone(),
+            };
+            (topic, schema, vec![said.clone(), said])
+        };
+        let images = |topic| (topic, IMAGE, vec![image(false)]);
+        let log = logs.write(
+            &format!("{name}.mcap"),
+            &[
+                ("/tf_static", TRANSFORM, vec![mount.clone()]),
+                info("/stereo/right/camera_info", &right),
+                info("/stereo/left/camera_info", &left),
+                images("/stereo/left/image_rect"),
+                images("/stereo/right/image_rect"),
+            ],
+        );
+        let of = |camera: &str, topic: &str| json!({"topic": topic, "camera": camera, "format": "mono16", "n": 1});
+        let expected = json!([
+            of("front", "/stereo/left/image_rect"),
+            of("stereo/right", "/stereo/right/image_rect"),
+        ]);
+        assert_eq!(query(&log, &[], TOPICS).expect(0).json(), expected);
+        let expected = json!([
+            {"camera": "front", "frame": "front", "x": 0.0, "z": 0.0, "qy": -0.043619},
+            {"camera": "stereo/right", "frame": "front", "x": 0.119543, "z": 0.010459, "qy": -0.043619},
+        ]);
+        assert_eq!(query(&log, &[], MOUNTS).expect(0).json(), expected);
+        let said = evermap(&["inspect", text(&log)]).expect(0).stdout;
+        let told = "stereo/right (/stereo/right/image_rect): mounted on base_link";
+        assert!(said.contains(told), "{said}");
+    }
+}
+
+#[test]
+fn a_rectified_camera_whose_r_turns_nothing_is_counted() {
+    let logs = Logs::new();
+    let mut mirrored = about_y(5.0);
+    mirrored[4] = -1.0;
+    let said = vec![rectified(mirrored, 0.0)];
+    let info = ("/front/camera_info", "sensor_msgs/CameraInfo", said);
+    let rect = ("/front/image_rect", IMAGE, vec![image(false)]);
+    let log = logs.write("mirrored.mcap", &[info, rect]);
+    let found = query(&log, &[], LENSES).expect(3);
+    assert_eq!(found.json(), json!([]));
+    let said = "expected R to be a rotation";
+    assert!(found.stderr.contains(said), "{}", found.stderr);
 }
 
 /// A plan that reads cameras.
