@@ -252,7 +252,9 @@ fn images(
             let known = frames.get(&(session.clone(), image.camera.clone()));
             let picture = Image {
                 session: session.clone(),
-                frame_id: known.map_or_else(|| frame(&session, &image.camera), String::clone),
+                frame_id: known
+                    .cloned()
+                    .unwrap_or_else(|| frame(&session, &image.camera)),
                 reference: image.image,
             };
             Said::of(image.stamp.0, topic, What::Image(Box::new(picture)))
