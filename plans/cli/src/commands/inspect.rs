@@ -1,9 +1,10 @@
 //! `evermap inspect`.
 
 use std::borrow::Cow;
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 use std::io::Write;
 
+use datafusion::prelude::SessionContext;
 use evermap_datasets::log::definition::LogChannel;
 use evermap_datasets::log::index::{LogIndex, UnitKind};
 use evermap_datasets::log::pace::Pace;
@@ -36,8 +37,7 @@ pub async fn inspect(args: &InspectArgs) -> Ending {
     let dataset = Dataset::open(&context.runtime_env(), &args.files, None).await?;
     dataset.register(&context)?;
     if args.manifest {
-        let mounts = dataset.camera_mounts().await?;
-        let frames = CoordinateFrames::read(&context, &mounts).await?;
+        let frames = frames(&dataset, &context).await?;
         let manifest = written(&dataset, &frames, &context).await?;
         writeln!(std::io::stdout(), "{manifest}")?;
         return Ok(lost([&dataset]));
@@ -53,10 +53,7 @@ pub async fn inspect(args: &InspectArgs) -> Ending {
     };
     let frames = match args.quick {
         true => None,
-        false => {
-            let mounts = dataset.camera_mounts().await?;
-            Some(CoordinateFrames::read(&context, &mounts).await?)
-        }
+        false => Some(frames(&dataset, &context).await?),
     };
     let read = match args.quick {
         true => Cow::Borrowed(&part.index),
@@ -87,6 +84,17 @@ pub async fn inspect(args: &InspectArgs) -> Ending {
     }
     stdout.flush()?;
     Ok(lost([&dataset]))
+}
+
+/// The coordinate frames of the sessions, which are registered with the context.
+async fn frames(dataset: &Dataset, context: &SessionContext) -> Result<CoordinateFrames, Fault> {
+    let pictured = |session: &Session| !session.roles.topics("frames").is_empty();
+    // What cannot be read of calibrations is told where their rows are read.
+    let mounts = match dataset.sessions.iter().any(pictured) {
+        true => dataset.camera_mounts().await.unwrap_or_default(),
+        false => BTreeMap::new(),
+    };
+    CoordinateFrames::read(context, &mounts).await
 }
 
 /// That flipped bits of some messages would not be seen.
