@@ -265,3 +265,25 @@ pub(crate) fn descriptors(bytes: &Bytes) -> impl Iterator<Item = Descriptor> {
     let (whole, _) = bytes.0.as_chunks::<DESCRIPTOR_BYTES>();
     whole.iter().copied().map(Descriptor)
 }
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use nalgebra::{UnitQuaternion, Vector3};
+
+    use super::*;
+
+    #[test]
+    fn a_camera_that_is_turned_otherwise_has_its_pixels_elsewhere() {
+        let k = [100.0, 0.0, 99.5, 0.0, 100.0, 74.5, 0.0, 0.0, 1.0];
+        let lens = Camera::from_calibration("plumb_bob", 200, 150, &k, &[]).unwrap();
+        let turned = |angle_rad: f64| {
+            let rotation = UnitQuaternion::from_axis_angle(&Vector3::y_axis(), angle_rad);
+            (lens.clone(), Pose::new(Vector3::zeros(), rotation))
+        };
+        // In the corners, twice as many pixels to an angle as in the middle.
+        assert!(!moves(&turned(0.05), &turned(0.05)));
+        assert!(!moves(&turned(0.0), &turned(0.002)));
+        assert!(moves(&turned(0.0), &turned(0.01)));
+    }
+}
