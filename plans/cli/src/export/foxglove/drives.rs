@@ -300,3 +300,40 @@ fn annotations(
         });
     said.collect()
 }
+
+#[cfg(test)]
+mod tests {
+    use evermap_schemas::Stamp;
+    use evermap_schemas::roles::CameraMount;
+
+    use super::*;
+
+    #[test]
+    fn images_that_are_turned_against_the_frame_of_their_camera_have_a_frame_of_their_own() {
+        let row = |camera: &str, frame: Option<&str>| Calibration {
+            site: String::new(),
+            session: "a".to_owned(),
+            stamp: Stamp(0),
+            camera: camera.to_owned(),
+            width: 200,
+            height: 150,
+            model: "plumb_bob".to_owned(),
+            intrinsics: vec![100.0, 0.0, 99.5, 0.0, 100.0, 74.5, 0.0, 0.0, 1.0],
+            distortion: Vec::new(),
+            mount: frame.map(|frame| CameraMount {
+                frame: frame.to_owned(),
+                frame_from_camera: Pose::IDENTITY,
+            }),
+        };
+        for (camera, mounted_on, expected) in [
+            ("left", None, "a/left"),
+            ("left", Some("/left"), "a/left_rectified"),
+            ("stereo/right", Some("left"), "a/stereo/right"),
+        ] {
+            let row = row(camera, mounted_on);
+            assert_eq!(frame_of(&row), expected);
+            let said = calibration(&row, frame_of(&row), 5).map(|said| said.frame_id);
+            assert_eq!(said.as_deref(), Some(expected));
+        }
+    }
+}
