@@ -15,7 +15,8 @@ use datafusion::prelude::SessionContext;
 use evermap_engine::map::Map;
 use evermap_engine::sql::{Limits, context, read_only};
 use evermap_tests::{
-    Finished, command, evermap, memory, plan_command, rectangle, repository, text, write_drive,
+    BESIDE_MIB, Finished, command, evermap, plan_command, rectangle, repository, text, watched,
+    write_drive,
 };
 use parquet::arrow::arrow_reader::ParquetRecordBatchReaderBuilder;
 use sqllogictest::{AsyncDB, DBOutput, DefaultColumnType, Runner};
@@ -618,21 +619,6 @@ fn queries_are_interrupted_while_they_run_and_while_they_are_planned() {
 
 /// MiB that a query may have.
 const MEMORY_MIB: u64 = 64;
-/// MiB that the program may hold beside them. A development build has 60 more before it does anything.
-const BESIDE_MIB: u64 = if cfg!(debug_assertions) { 384 } else { 256 };
-
-/// Runs a command to its end, and finds the most MiB that it held.
-fn watched(mut command: std::process::Command) -> (Finished, u64) {
-    let command = command.stdout(Stdio::null()).stderr(Stdio::piped());
-    let program = command.spawn().unwrap();
-    let mut most = 0;
-    while let Some(held) = memory(program.id(), "VmHWM:") {
-        most = most.max(held);
-        std::thread::sleep(Duration::from_millis(10));
-    }
-    let ended = program.wait_with_output().unwrap();
-    (ended.into(), most >> 20)
-}
 
 #[test]
 fn sorts_windows_groups_and_joins_larger_than_memory_are_answered_from_disk() {

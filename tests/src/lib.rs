@@ -14,7 +14,8 @@ pub mod trajectories;
 pub mod turned;
 
 use std::path::{Path, PathBuf};
-use std::process::{Command, Output};
+use std::process::{Command, Output, Stdio};
+use std::time::Duration;
 
 pub use evermap_test_data::shared;
 
@@ -144,6 +145,25 @@ pub fn memory(process: u32, line: &str) -> Option<u64> {
     let found = status.lines().find_map(|found| found.strip_prefix(line))?;
     let kilobytes: u64 = found.split_whitespace().next()?.parse().ok()?;
     Some(kilobytes << 10)
+}
+
+/// MiB that the program may hold beside `--memory`. A development build has 60 more before it does anything.
+pub const BESIDE_MIB: u64 = if cfg!(debug_assertions) { 384 } else { 256 };
+
+/// Runs a command to its end, and finds the most MiB that it held.
+///
+/// # Panics
+/// When it does not start.
+pub fn watched(mut command: Command) -> (Finished, u64) {
+    let command = command.stdout(Stdio::null()).stderr(Stdio::piped());
+    let program = command.spawn().expect("evermap starts");
+    let mut most = 0;
+    while let Some(held) = memory(program.id(), "VmHWM:") {
+        most = most.max(held);
+        std::thread::sleep(Duration::from_millis(10));
+    }
+    let ended = program.wait_with_output().expect("evermap is waited for");
+    (ended.into(), most >> 20)
 }
 
 /// The text of a path.

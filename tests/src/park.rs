@@ -3,13 +3,14 @@
 #![allow(clippy::print_stderr, clippy::expect_used)]
 
 use std::path::{Path, PathBuf};
+use std::process::Command;
 
 use evermap_bench::trajectory::{AbsoluteError, Statistics};
 
 use crate::trajectories::{
     Trajectories, error_by_session, error_in, map_error, poses, rows, truth, truth_from_map,
 };
-use crate::{Finished, plan_command, simulate, text};
+use crate::{BESIDE_MIB, Finished, plan_command, simulate, text, watched};
 
 /// Runs a plan on sessions of one site, without loss.
 ///
@@ -35,11 +36,28 @@ pub const FEWER: [&str; 2] = ["--set", "features.count=300"];
 /// # Panics
 /// Where it does not start.
 pub fn finished(plan: &str, map: &Path, sessions: &[&Path], options: &[&str]) -> Finished {
+    let run = on_park(plan, map, sessions, options).output();
+    run.expect("evermap starts").into()
+}
+
+/// Runs a plan on sessions of one site, without loss and within `--memory`.
+///
+/// # Panics
+/// Where it fails, or holds more than is promised beside that.
+pub fn run_within(memory_mib: u64, plan: &str, map: &Path, sessions: &[&Path]) {
+    let limit = format!("{memory_mib}MiB");
+    let (ended, most) = watched(on_park(plan, map, sessions, &["--memory", &limit]));
+    ended.expect(0);
+    eprintln!("{plan} within {limit}: {most} MiB resident");
+    assert!(most > 0, "nobody looked while it ran");
+    assert!(most <= memory_mib + BESIDE_MIB, "{most} MiB resident");
+}
+
+fn on_park(plan: &str, map: &Path, sessions: &[&Path], options: &[&str]) -> Command {
     let mut more = options.to_vec();
     more.push("--sessions");
     more.extend(sessions.iter().map(|path| text(path)));
-    let run = plan_command(plan, map, "park", &more).output();
-    run.expect("evermap starts").into()
+    plan_command(plan, map, "park", &more)
 }
 
 /// Small images at a small rate: a drive is mapped within a minute.

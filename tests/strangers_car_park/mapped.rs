@@ -6,7 +6,7 @@ use std::sync::OnceLock;
 use evermap_algorithms::geometry::pose::Pose;
 use evermap_messages::annotation::{Annotation, Geometry};
 use evermap_recording::annotations::AnnotationLog;
-use evermap_tests::park::{Localised, adjusted_error, copy, made_once, run};
+use evermap_tests::park::{Localised, adjusted_error, copy, made_once, run, run_within};
 use evermap_tests::trajectories::{Trajectories, rows, truth};
 use evermap_tests::{evermap, text};
 
@@ -90,7 +90,12 @@ fn it_gets_sharper_with_every_drive() {
     let mut seen = vec![floor::likeness("initial", &world, &map, &truths)];
 
     let said = each_space_drawn(&world, &map, folder.path());
-    run("car_park", &map, &[&session(&world, "revisit_1"), &said]);
+    run_within(
+        256,
+        "car_park",
+        &map,
+        &[&session(&world, "revisit_1"), &said],
+    );
     is_localised(&map, 2, "revisit_1", &truths);
     drawn_spaces_stay(&world, &map);
     drawn(&map, folder.path());
