@@ -7,7 +7,7 @@ use evermap_algorithms::learning::calibration::Calibration;
 use evermap_algorithms::learning::gaussian_process::LinearProcess;
 use evermap_contract::{Emit, Fault, Key, Operator, Port, Sides, Work};
 use evermap_schemas::Wkb;
-use evermap_schemas::layers::{BoxHypothesis, BoxModel, OverheadTile, PlacedLabel};
+use evermap_schemas::layers::{BoxHypothesis, BoxModel, OverheadGradients, PlacedLabel};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -23,7 +23,7 @@ pub struct BoxHypothesesParams {}
 
 impl Operator for BoxHypotheses {
     const NAME: &'static str = "box_hypotheses";
-    const VERSION: u32 = 6;
+    const VERSION: u32 = 7;
     const PAGE: &'static str = include_str!("box_hypotheses.md");
     type Params = BoxHypothesesParams;
     type Output = BoxHypothesis;
@@ -31,7 +31,7 @@ impl Operator for BoxHypotheses {
     fn work() -> Work<Self::Params> {
         let models = Port::site::<BoxModel>("models");
         let sides = vec![
-            Port::site::<OverheadTile>("tiles"),
+            Port::site::<OverheadGradients>("gradients"),
             Port::site::<PlacedLabel>("labels"),
         ];
         Work::group(models, Key::SITE, sides, hypotheses)
@@ -41,11 +41,11 @@ impl Operator for BoxHypotheses {
 fn hypotheses(
     _: &BoxHypothesesParams,
     models: Vec<BoxModel>,
-    sides: Sides,
+    mut sides: Sides,
     emit: &mut Emit<'_>,
 ) -> Result<(), Fault> {
     let mut skip = |reason, count| emit.skip(reason, count);
-    let mosaic = mosaic(sides.rows("tiles")?, &mut skip);
+    let mosaic = mosaic(sides.take("gradients")?, &mut skip);
     let labels: Vec<PlacedLabel> = sides.rows("labels")?;
     let mut found = Vec::new();
     for model in models {

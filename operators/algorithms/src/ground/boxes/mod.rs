@@ -2,8 +2,9 @@
 //!
 //! | module | what it knows |
 //! |---|---|
-//! | [`mosaic`] | an overhead image of any extent, by tiles |
+//! | [`picture`] | the overhead image by tiles, and which of them are to be described anew |
 //! | [`overhead`] | the overhead image as gradients, brighter and darker floors alike |
+//! | [`mosaic`] | gradients of any extent, by tiles |
 //! | [`description`] | what is in a box: histograms of gradients by cell |
 //! | [`box_index`] | which boxes are near one |
 //! | [`scan`] | the places of an image where a description fits |
@@ -22,6 +23,7 @@ mod lesson;
 pub mod mosaic;
 pub mod occupancy;
 pub mod overhead;
+pub mod picture;
 pub mod rows;
 pub mod scan;
 pub mod teaching;

@@ -11,7 +11,8 @@ use std::path::Path;
 
 use super::GroundBox;
 use super::lesson::Lesson;
-use super::mosaic::{Mosaic, Pixel};
+use super::mosaic::Mosaic;
+use super::picture::{self, Pixel};
 use super::teaching::{Example, Hypothesis, Said, Taught, TeachingParams};
 use crate::ground::tiles::TILE_CELLS;
 use crate::solving::median::median;
@@ -55,7 +56,7 @@ impl Picture {
 
     /// As tiles; what is beyond its borders was not seen.
     fn mosaic(&self) -> Mosaic {
-        let mut mosaic = Mosaic::new(CELL_M);
+        let mut tiles = picture::Picture::new(CELL_M);
         for y in 0..self.rows.div_ceil(TILE_CELLS) {
             for x in 0..self.columns.div_ceil(TILE_CELLS) {
                 let pixel = |at: usize| {
@@ -68,10 +69,10 @@ impl Picture {
                     }
                 };
                 let pixels = (0..TILE_CELLS * TILE_CELLS).map(pixel).collect();
-                assert!(mosaic.add([x as i64, y as i64], pixels));
+                assert!(tiles.add([x as i64, y as i64], pixels));
             }
         }
-        mosaic
+        tiles.mosaic()
     }
 }
 
