@@ -389,6 +389,25 @@ fn kerb() -> (Picture, Vec<GroundBox>) {
     (painted(&spaces, [1700, 500], 4), spaces)
 }
 
+/// A park of 164 spaces, as `evermap simulate car_park --set west_bays=17 --set east_bays=18` has them: along both walls, and
+/// two rows back to back between two aisles.
+fn park() -> (Picture, Vec<GroundBox>) {
+    let rows = [(2.5, -90.0), (13.5, 90.0), (18.5, -90.0), (29.5, 90.0)];
+    let rows = rows.map(|(y, lie)| row([7.0, y], 0.0, lie, 41, SPACE_M));
+    let spaces = rows.concat();
+    (painted(&spaces, [2260, 640], 6), spaces)
+}
+
+/// How long each round takes is told on standard error.
+#[test]
+fn spaces_of_a_park_of_164_are_found() {
+    let (picture, truth) = park();
+    assert_eq!(truth.len(), 164);
+    let rounds = rounds("park of 164", &picture, &truth, Picks::Questions);
+    let last = rounds.last().unwrap();
+    assert!(last.precision >= 0.95 && last.recall >= 0.95);
+}
+
 #[test]
 fn spaces_of_made_up_floors_are_found() {
     let floors = [("angled", angled(), 0.97), ("kerb", kerb(), 0.95)];
