@@ -173,7 +173,7 @@ fn benches(criterion: &mut Criterion) {
     assert_eq!(described(&tiles, &gradients).1, 0);
     let floor = read(&gradients);
     let learnt = model(&floor, &labels);
-    let kind = || Kind::new(learnt.clone(), &labels, CELL_M).unwrap();
+    let kind = || Kind::new(learnt.clone(), &labels, &[], CELL_M).unwrap();
     let found = kind().search(&floor);
     let likely = kind().weigh(&found);
     assert!(likely.iter().any(|one| one.probability > 0.5));
@@ -189,7 +189,7 @@ fn benches(criterion: &mut Criterion) {
     group.bench_function("round", |bench| {
         bench.iter(|| {
             let model = model(&read(&gradients), &labels);
-            let kind = Kind::new(model, &labels, CELL_M).unwrap();
+            let kind = Kind::new(model, &labels, &[], CELL_M).unwrap();
             black_box(kind.weigh(&kind.search(&read(&gradients))))
         });
     });

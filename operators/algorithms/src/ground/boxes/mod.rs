@@ -12,6 +12,7 @@
 //! | `lesson` | what there is to learn from |
 //! | [`template`] | where exactly a box lies |
 //! | [`teaching`] | examples in, hypotheses with their probability and questions out |
+//! | `headings` | how boxes lie to lanes |
 //! | [`rows`] | parking spaces in rows, with numbers and lanes |
 //! | [`occupancy`] | which spaces were taken during a drive |
 //!
@@ -20,6 +21,7 @@
 
 pub mod box_index;
 pub mod description;
+mod headings;
 mod lesson;
 pub mod mosaic;
 pub mod occupancy;

@@ -30,13 +30,12 @@ pub struct Scored {
     pub score: f64,
 }
 
-/// The boxes of these lengths and widths whose score is highest among those that overlap, about points of the map that
-/// are `asked` for: the best first, `most` of them at most. `weights` are those of [`describe`]'s numbers.
+/// The boxes of these lengths and widths whose score is highest among those that overlap, of those that are `asked` for: the best first, `most` of them at most. `weights` are those of [`describe`]'s numbers.
 pub fn scan(
     gradients: &Gradients,
     weights: &[f64],
     sizes_m: &[[f64; 2]],
-    asked: impl Fn([f64; 2]) -> bool + Sync,
+    asked: impl Fn(&GroundBox) -> bool + Sync,
     most: usize,
 ) -> Vec<Scored> {
     let mut found: Vec<Scored> = Vec::new();
@@ -49,7 +48,7 @@ pub fn scan(
         let headings = (0..HEADINGS).into_par_iter().flat_map_iter(|heading| {
             let turned = Turned::new(&squares, *size_m, heading);
             let mut found = turned.fitting(weights, stride);
-            found.retain(|one| asked(one.place.centre));
+            found.retain(|one| asked(&one.place));
             found
         });
         found.extend(headings.collect::<Vec<Scored>>());
