@@ -16,7 +16,8 @@ use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use evermap_algorithms::ground::boxes::GroundBox;
-use evermap_algorithms::ground::boxes::mosaic::{Mosaic, Pixel};
+use evermap_algorithms::ground::boxes::mosaic::Mosaic;
+use evermap_algorithms::ground::boxes::picture::{Picture, Pixel};
 use evermap_algorithms::ground::boxes::teaching::{
     Example, Hypothesis, Said, Taught, TeachingParams,
 };
@@ -120,23 +121,22 @@ struct Floor {
 
 impl Floor {
     fn of(views: &[View]) -> Self {
-        let mut floor = Self {
-            mosaic: Mosaic::new(CELL_M),
-            truth: Vec::new(),
-        };
+        let mut picture = Picture::new(CELL_M);
+        let mut truth = Vec::new();
         for (number, view) in views.iter().enumerate() {
             let tile = [number as i64 % ROW, number as i64 / ROW];
-            assert!(floor.mosaic.add(tile, pixels(&view.image)));
+            assert!(picture.add(tile, pixels(&view.image)));
             let side_m = CELL_M * TILE_CELLS as f64;
             let west_m = tile[0] as f64 * side_m;
             let north_m = (tile[1] + 1) as f64 * side_m;
             let to_map = |[x, y]: [f64; 2]| [west_m + x / PIXELS_PER_M, north_m - y / PIXELS_PER_M];
             let entrances = view.entrances.iter().map(|corners| corners.map(to_map));
-            floor
-                .truth
-                .extend(entrances.filter_map(|corners| entrance(corners, to_map(view.vehicle))));
+            truth.extend(entrances.filter_map(|corners| entrance(corners, to_map(view.vehicle))));
         }
-        floor
+        Self {
+            mosaic: picture.mosaic(),
+            truth,
+        }
     }
 
     /// What a person says who sees all of it: each entrance is drawn; what was found beside them, asked about or likely, is

@@ -202,6 +202,16 @@ fn tiles_show_what_is_asked(map: &Path) {
     );
 }
 
+/// The versions whose run worked out gradients of the floor: an answer changes nothing of it.
+fn described_in(map: &Path) -> Vec<Value> {
+    let runs = rows(
+        map,
+        None,
+        "SELECT version FROM runs WHERE step = 'overhead_gradients' AND NOT cached ORDER BY version",
+    );
+    runs.iter().map(|run| run["version"].clone()).collect()
+}
+
 #[test]
 fn a_few_drawn_spaces_and_some_answers_find_the_others() {
     let Some(world) = world() else { return };
@@ -239,6 +249,7 @@ fn a_few_drawn_spaces_and_some_answers_find_the_others() {
         }
     }
     assert!(last.0 >= 0.97 && last.1 >= 0.95, "{last:?}");
+    assert_eq!(described_in(&map), [1]);
     // Each space is in a row of four or eight, and entered from a lane that was driven.
     let alone = rows(
         &map,
@@ -259,6 +270,7 @@ fn a_few_drawn_spaces_and_some_answers_find_the_others() {
     assert_eq!(numbers("entered"), numbers("n"), "{alone:?}");
     // What each drive saw of them: a second one comes when all is taught.
     grown(&map, &session(&world, "revisit_1"));
+    assert_eq!(described_in(&map), [1, 8]);
     let known = ["initial", "revisit_1"].map(|session| occupied_as_in(&world, &map, session));
     let [seen, right] = [0, 1].map(|of| known[0][of] + known[1][of]);
     assert!(right as f64 >= 0.98 * seen as f64, "{known:?}");

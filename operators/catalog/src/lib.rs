@@ -11,7 +11,7 @@ use evermap_contract::{Entry, Registry};
 mod inputs;
 
 pub use evermap_vision::image_size;
-pub use inputs::boxes::mosaic;
+pub use inputs::boxes::{mosaic, tile_gradients};
 pub use inputs::drive::rigs;
 pub use inputs::labels as annotated;
 pub use inputs::painting as painted;
@@ -42,6 +42,7 @@ operators! {
         ground_patches::GroundPatches,
         intersections::Intersections,
         lane_speeds::LaneSpeeds,
+        overhead_gradients::GradientsOfTiles,
         overhead_tiles::OverheadTiles,
         people::People,
         people_on_ground::PeopleOnGround,

@@ -1,6 +1,28 @@
 //! Boxes on the ground that look alike: what was learnt of them, where others may be, parking spaces.
 
-use crate::{Pose, Wkb, record};
+use crate::{Bytes, Pose, Wkb, record};
+
+record! {
+    /// What one tile of the overhead image shows as gradients, of equal strength wherever there is structure: all that boxes
+    /// are described by.
+    #[layer("overhead_gradients", key(site, tile_x, tile_y))]
+    pub struct OverheadGradients {
+        /// Site of the map.
+        site: String,
+        /// Column of the tile, as in `overhead_tiles` at zoom 0.
+        tile_x: i32 ["", "map"],
+        /// Row of the tile, likewise.
+        tile_y: i32 ["", "map"],
+        /// Side of a cell.
+        cell_m: f64 ["m"],
+        /// Digest of all that the gradients follow from: the tile's pixels, those of its neighbours as far as contrast is
+        /// levelled with them, and how gradients are made.
+        content: String,
+        /// A PNG of two channels, the first row the northernmost. The first channel is strength in steps of 8/254 of the mean
+        /// around (255 where nothing was seen), the second direction from east in 256ths of half a turn, anticlockwise.
+        png: Bytes,
+    }
+}
 
 record! {
     /// What was learnt of one kind of box on the ground from the boxes that people drew, accepted and rejected.

@@ -329,6 +329,7 @@ pub fn all() -> Vec<crate::Layer> {
         Intersection::layer(),
         Keyframe::layer(),
         Lane::layer(),
+        OverheadGradients::layer(),
         OverheadTile::layer(),
         ParkingSpace::layer(),
         PlacedLabel::layer(),

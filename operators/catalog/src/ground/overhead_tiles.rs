@@ -10,6 +10,8 @@ use evermap_schemas::{Bytes, Wkb};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+use crate::inputs::tiles::encoded;
+
 /// See the module's page.
 pub struct OverheadTiles;
 
@@ -189,7 +191,7 @@ fn patch(row: &mut GroundPatch) -> Option<Patch> {
     sound.then_some(patch)
 }
 
-/// Grey with alpha, the northernmost row first. The encoder's settings are fixed: equal tiles are equal bytes.
+/// Grey with alpha, the northernmost row first.
 fn picture(sums: &TileSum) -> Result<Vec<u8>, Fault> {
     let tile = sums.finish();
     let (grey, coverage) = (
@@ -202,18 +204,5 @@ fn picture(sums: &TileSum) -> Result<Vec<u8>, Fault> {
         .flat_map(|(grey, coverage)| grey.iter().zip(coverage))
         .flat_map(|(grey, coverage)| [*grey, if *coverage > 0 { 255 } else { 0 }])
         .collect();
-    encode(&pixels).map_err(|error| Fault::bug(format!("a tile does not encode: {error}")))
-}
-
-fn encode(pixels: &[u8]) -> Result<Vec<u8>, png::EncodingError> {
-    let mut bytes = Vec::new();
-    let mut encoder = png::Encoder::new(&mut bytes, TILE_CELLS as u32, TILE_CELLS as u32);
-    encoder.set_color(png::ColorType::GrayscaleAlpha);
-    encoder.set_depth(png::BitDepth::Eight);
-    encoder.set_compression(png::Compression::Balanced);
-    encoder.set_filter(png::Filter::Paeth);
-    let mut writer = encoder.write_header()?;
-    writer.write_image_data(pixels)?;
-    writer.finish()?;
-    Ok(bytes)
+    encoded(&pixels)
 }

@@ -1,18 +1,20 @@
-//! The overhead image, lanes and what people said of boxes, as the algorithms want them.
+//! The overhead image and its gradients, lanes and what people said of boxes, as the algorithms want them.
 
 use std::collections::{BTreeMap, BTreeSet};
 
 use evermap_algorithms::ground::boxes::GroundBox;
 use evermap_algorithms::ground::boxes::box_index::BoxIndex;
-use evermap_algorithms::ground::boxes::mosaic::{Mosaic, Pixel};
+use evermap_algorithms::ground::boxes::mosaic::Mosaic;
+use evermap_algorithms::ground::boxes::picture::Picture;
 use evermap_algorithms::ground::boxes::rows::LaneLine;
 use evermap_algorithms::ground::boxes::teaching::{Example, Said};
-use evermap_algorithms::ground::tiles::TILE_CELLS;
-use evermap_contract::Reason;
-use evermap_schemas::Pose;
-use evermap_schemas::layers::{Lane, OverheadTile, PlacedLabel};
+use evermap_contract::{Fault, Reason};
+use evermap_schemas::layers::{Lane, OverheadGradients, OverheadTile, PlacedLabel};
+use evermap_schemas::{Bytes, Pose};
+use rayon::prelude::*;
 
 use crate::inputs::people::PERSON;
+use crate::inputs::tiles::{decoded, encoded};
 
 /// Boxes are described by cells of the image: a side of fewer cells than this is too short.
 const LEAST_CELLS: f64 = 4.0;
@@ -22,42 +24,95 @@ pub(crate) const LONGEST_M: f64 = 50.0;
 const ONE_PLACE: f64 = 0.5;
 
 /// The tiles of the finest zoom.
-pub fn mosaic(tiles: Vec<OverheadTile>, skip: &mut impl FnMut(Reason, u64)) -> Mosaic {
-    let finest = tiles.into_iter().filter(|tile| tile.zoom == 0);
-    let mut tiles = finest.peekable();
-    let cell_m = tiles.peek().map_or(1.0, |tile| tile.cell_m);
-    if !(cell_m > 0.0 && cell_m.is_finite()) {
-        skip("tile has no cell size".into(), tiles.count() as u64);
-        return Mosaic::new(1.0);
-    }
-    let mut mosaic = Mosaic::new(cell_m);
-    for tile in tiles {
-        let at = [tile.tile_x, tile.tile_y].map(i64::from);
+fn picture(tiles: Vec<OverheadTile>, skip: &mut impl FnMut(Reason, u64)) -> Picture {
+    let finest: Vec<OverheadTile> = tiles.into_iter().filter(|tile| tile.zoom == 0).collect();
+    let Some(cell_m) = cell_of(finest.iter().map(|tile| tile.cell_m), skip) else {
+        return Picture::new(1.0);
+    };
+    let mut picture = Picture::new(cell_m);
+    let read = finest.into_par_iter().map(|tile| {
         let pixels = decoded(&tile.png.0).filter(|_| tile.cell_m == cell_m);
-        if !pixels.is_some_and(|pixels| mosaic.add(at, pixels)) {
+        ([tile.tile_x, tile.tile_y].map(i64::from), pixels)
+    });
+    for (at, pixels) in read.collect::<Vec<_>>() {
+        if !pixels.is_some_and(|pixels| picture.add(at, pixels)) {
             skip("tile is not as overhead_tiles makes them".into(), 1);
         }
     }
-    mosaic
+    picture
 }
 
-/// Pixels of a tile, the northernmost row first; `None` where it is no grey PNG with alpha of a tile's size.
-fn decoded(bytes: &[u8]) -> Option<Vec<Pixel>> {
-    let mut reader = png::Decoder::new(std::io::Cursor::new(bytes))
-        .read_info()
-        .ok()?;
-    let info = reader.info();
-    let side = TILE_CELLS as u32;
-    let is_tile = [info.width, info.height] == [side, side]
-        && info.color_type == png::ColorType::GrayscaleAlpha
-        && info.bit_depth == png::BitDepth::Eight;
-    if !is_tile {
-        return None;
+/// The side of cells of tiles, which is that of the first one's (m); `None`, and they are counted, where it is none.
+fn cell_of(
+    mut sides_m: impl ExactSizeIterator<Item = f64>,
+    skip: &mut impl FnMut(Reason, u64),
+) -> Option<f64> {
+    let count = sides_m.len() as u64;
+    let cell_m = sides_m.next()?;
+    let is_side = cell_m > 0.0 && cell_m.is_finite();
+    if !is_side {
+        skip("tile has no cell size".into(), count);
     }
-    let mut pixels = vec![0; TILE_CELLS * TILE_CELLS * 2];
-    reader.next_frame(&mut pixels).ok()?;
-    let (pixels, _) = pixels.as_chunks();
-    Some(pixels.to_vec())
+    is_side.then_some(cell_m)
+}
+
+/// Gradients of the tiles of a site at the finest zoom, and how many of them are not among those that are known: these were
+/// made of other content, or never.
+///
+/// # Errors
+/// A bug fault where gradients do not encode.
+pub fn tile_gradients(
+    tiles: Vec<OverheadTile>,
+    known: Vec<OverheadGradients>,
+    skip: &mut impl FnMut(Reason, u64),
+) -> Result<(Vec<OverheadGradients>, usize), Fault> {
+    let Some(site) = tiles.first().map(|tile| tile.site.clone()) else {
+        return Ok((Vec::new(), 0));
+    };
+    let picture = picture(tiles, skip);
+    let key = |row: &OverheadGradients| [row.tile_x, row.tile_y].map(i64::from);
+    let known = known.into_iter().map(|row| (key(&row), row));
+    let mut known: BTreeMap<[i64; 2], OverheadGradients> = known.collect();
+    let is_known = |tile: [i64; 2], content: &str| {
+        let row = known.get(&tile);
+        row.is_some_and(|row| row.content == content && decoded(&row.png.0).is_some())
+    };
+    let mut anew = 0;
+    let mut rows = Vec::new();
+    for tile in picture.described(is_known) {
+        let Some(cells) = tile.cells else {
+            rows.extend(known.remove(&tile.tile));
+            continue;
+        };
+        anew += 1;
+        rows.push(OverheadGradients {
+            site: site.clone(),
+            tile_x: tile.tile[0] as i32,
+            tile_y: tile.tile[1] as i32,
+            cell_m: picture.cell_m(),
+            content: tile.content,
+            png: Bytes(encoded(cells.as_flattened())?),
+        });
+    }
+    Ok((rows, anew))
+}
+
+/// The gradients of a site.
+pub fn mosaic(tiles: Vec<OverheadGradients>, skip: &mut impl FnMut(Reason, u64)) -> Mosaic {
+    let Some(cell_m) = cell_of(tiles.iter().map(|tile| tile.cell_m), skip) else {
+        return Mosaic::new(1.0);
+    };
+    let mut mosaic = Mosaic::new(cell_m);
+    let read = tiles.into_par_iter().map(|tile| {
+        let cells = decoded(&tile.png.0).filter(|_| tile.cell_m == cell_m);
+        ([tile.tile_x, tile.tile_y].map(i64::from), cells)
+    });
+    for (at, cells) in read.collect::<Vec<_>>() {
+        if !cells.is_some_and(|cells| mosaic.add(at, cells)) {
+            skip("tile is not as overhead_gradients makes them".into(), 1);
+        }
+    }
+    mosaic
 }
 
 /// What was said of boxes of one kind.

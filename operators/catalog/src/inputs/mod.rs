@@ -20,3 +20,4 @@ pub(crate) mod pixels;
 pub(crate) mod rig;
 pub(crate) mod spheres;
 pub(crate) mod survey;
+pub(crate) mod tiles;

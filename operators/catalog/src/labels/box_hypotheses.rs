@@ -1,18 +1,19 @@
 #![doc = include_str!("box_hypotheses.md")]
 
 use evermap_algorithms::ground::boxes::mosaic::Mosaic;
+use evermap_algorithms::ground::boxes::rows::LaneLine;
 use evermap_algorithms::ground::boxes::teaching::{Candidates, Example, Hypothesis, Taught};
 use evermap_algorithms::ground::boxes::template::Template;
 use evermap_algorithms::learning::calibration::Calibration;
 use evermap_algorithms::learning::gaussian_process::LinearProcess;
 use evermap_contract::{Emit, Fault, Key, Operator, Port, Sides, Work};
 use evermap_schemas::Wkb;
-use evermap_schemas::layers::{BoxHypothesis, BoxModel, OverheadTile, PlacedLabel};
+use evermap_schemas::layers::{BoxHypothesis, BoxModel, Lane, OverheadGradients, PlacedLabel};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::inputs::asking::reason;
-use crate::inputs::boxes::{LONGEST_M, boxes, mosaic, pose};
+use crate::inputs::boxes::{LONGEST_M, boxes, lane_line, mosaic, pose};
 
 /// See the module's page.
 pub struct BoxHypotheses;
@@ -23,7 +24,7 @@ pub struct BoxHypothesesParams {}
 
 impl Operator for BoxHypotheses {
     const NAME: &'static str = "box_hypotheses";
-    const VERSION: u32 = 6;
+    const VERSION: u32 = 7;
     const PAGE: &'static str = include_str!("box_hypotheses.md");
     type Params = BoxHypothesesParams;
     type Output = BoxHypothesis;
@@ -31,8 +32,9 @@ impl Operator for BoxHypotheses {
     fn work() -> Work<Self::Params> {
         let models = Port::site::<BoxModel>("models");
         let sides = vec![
-            Port::site::<OverheadTile>("tiles"),
+            Port::site::<OverheadGradients>("gradients"),
             Port::site::<PlacedLabel>("labels"),
+            Port::site::<Lane>("lanes").optional(),
         ];
         Work::group(models, Key::SITE, sides, hypotheses)
     }
@@ -41,15 +43,16 @@ impl Operator for BoxHypotheses {
 fn hypotheses(
     _: &BoxHypothesesParams,
     models: Vec<BoxModel>,
-    sides: Sides,
+    mut sides: Sides,
     emit: &mut Emit<'_>,
 ) -> Result<(), Fault> {
     let mut skip = |reason, count| emit.skip(reason, count);
-    let mosaic = mosaic(sides.rows("tiles")?, &mut skip);
+    let mosaic = mosaic(sides.take("gradients")?, &mut skip);
     let labels: Vec<PlacedLabel> = sides.rows("labels")?;
+    let lanes: Vec<Lane> = sides.rows("lanes")?;
     let mut found = Vec::new();
     for model in models {
-        match Kind::new(model, &labels, mosaic.cell_m()) {
+        match Kind::new(model, &labels, &lanes, mosaic.cell_m()) {
             Some(kind) => found.extend(kind.weigh(&kind.search(&mosaic))),
             None => skip("model does not have the numbers that it claims".into(), 1),
         }
@@ -57,28 +60,35 @@ fn hypotheses(
     emit.rows(found)
 }
 
-/// What was learnt of a kind, and what was said of its boxes.
+/// What was learnt of a kind, what was said of its boxes, and the lanes that these lie at.
 pub struct Kind {
     model: BoxModel,
     taught: Taught,
     examples: Vec<Example>,
+    lanes: Vec<LaneLine>,
 }
 
 impl Kind {
-    /// Of a site's model and labels, on an image with cells of this side (m); `None` where the model does not have the
+    /// Of a site's model, labels and lanes, on an image with cells of this side (m); `None` where the model does not have the
     /// numbers that it claims.
-    pub fn new(model: BoxModel, labels: &[PlacedLabel], cell_m: f64) -> Option<Self> {
+    pub fn new(
+        model: BoxModel,
+        labels: &[PlacedLabel],
+        lanes: &[Lane],
+        cell_m: f64,
+    ) -> Option<Self> {
         let said = boxes(labels, cell_m, &mut |_, _| {}).remove(&model.kind);
         Some(Self {
             taught: taught(&model)?,
             examples: said.unwrap_or_default().examples,
+            lanes: lanes.iter().map(lane_line).collect(),
             model,
         })
     }
 
     /// What of the overhead image may be of the kind, and of which nothing was said.
     pub fn search(&self, mosaic: &Mosaic) -> Candidates {
-        self.taught.search(mosaic, &self.examples)
+        self.taught.search(mosaic, &self.examples, &self.lanes)
     }
 
     /// What is left of candidates that were found when less was known.

@@ -3,7 +3,7 @@
 use evermap_algorithms::ground::boxes::mosaic::Mosaic;
 use evermap_algorithms::ground::boxes::teaching::{Taught, TeachingParams};
 use evermap_contract::{Emit, Fault, Key, Operator, Port, Sides, Work};
-use evermap_schemas::layers::{BoxModel, OverheadTile, PlacedLabel};
+use evermap_schemas::layers::{BoxModel, OverheadGradients, PlacedLabel};
 
 use crate::inputs::boxes::{boxes, mosaic};
 use crate::inputs::labels::Tell;
@@ -13,26 +13,26 @@ pub struct BoxModels;
 
 impl Operator for BoxModels {
     const NAME: &'static str = "box_models";
-    const VERSION: u32 = 5;
+    const VERSION: u32 = 6;
     const PAGE: &'static str = include_str!("box_models.md");
     type Params = TeachingParams;
     type Output = BoxModel;
 
     fn work() -> Work<Self::Params> {
         let labels = Port::site::<PlacedLabel>("labels");
-        let tiles = Port::site::<OverheadTile>("tiles");
-        Work::group(labels, Key::SITE, vec![tiles], models)
+        let gradients = Port::site::<OverheadGradients>("gradients");
+        Work::group(labels, Key::SITE, vec![gradients], models)
     }
 }
 
 fn models(
     params: &TeachingParams,
     labels: Vec<PlacedLabel>,
-    sides: Sides,
+    mut sides: Sides,
     emit: &mut Emit<'_>,
 ) -> Result<(), Fault> {
     let mut skip = |reason, count| emit.skip(reason, count);
-    let mosaic = mosaic(sides.rows("tiles")?, &mut skip);
+    let mosaic = mosaic(sides.take("gradients")?, &mut skip);
     let models = learnt(params, &mosaic, &labels, &mut skip)?;
     emit.rows(models)
 }

@@ -1,7 +1,7 @@
 #![doc = include_str!("parking_spaces.md")]
 
 use evermap_algorithms::ground::boxes::GroundBox;
-use evermap_algorithms::ground::boxes::rows::{LaneLine, Numbered, numbered};
+use evermap_algorithms::ground::boxes::rows::{ENTERED_WITHIN_M, LaneLine, Numbered, numbered};
 use evermap_contract::{Emit, Fault, Key, Operator, Port, Sides, Work};
 use evermap_schemas::Wkb;
 use evermap_schemas::layers::{BoxHypothesis, Lane, ParkingSpace, PlacedLabel};
@@ -33,7 +33,7 @@ impl Default for ParkingSpacesParams {
         Self {
             kind: "parking_space".to_owned(),
             probability: 0.5,
-            lane_within_m: 8.5,
+            lane_within_m: ENTERED_WITHIN_M,
         }
     }
 }

@@ -5,8 +5,8 @@ use std::collections::BTreeMap;
 use evermap_contract::Losses;
 use evermap_contract::laws::inputs_of;
 use evermap_schemas::layers::{
-    BoxModel, FramePose, LabelAnchor, Landmark, MapFrame, OverheadTile, ParkingSpace, PlacedLabel,
-    VehiclePose,
+    BoxModel, FramePose, LabelAnchor, Landmark, MapFrame, OverheadGradients, ParkingSpace,
+    PlacedLabel, VehiclePose,
 };
 use evermap_schemas::roles::{Anchor, Annotation, Calibration, Transform};
 use evermap_schemas::{Bytes, Pose, Stamp, Wkb};
@@ -339,22 +339,17 @@ fn of_spaces_that_were_drawn_on_one_place_the_one_said_last_holds() {
 
 /// What `box_models` counts of labels on an image that shows nothing.
 fn not_learnt(labels: Vec<PlacedLabel>) -> BTreeMap<String, u64> {
-    let tile = OverheadTile {
+    let tile = OverheadGradients {
         site: "lot".into(),
-        zoom: 0,
         tile_x: 0,
         tile_y: 0,
         cell_m: 0.05,
-        size_m: 12.8,
-        covered: 0,
-        mean_weight: 0.0,
+        content: String::new(),
         png: Bytes(vec![]),
-        sources: vec![],
-        geometry: Wkb::point([0.0; 3]),
     };
     let inputs = [
         inputs_of("labels", labels).unwrap(),
-        inputs_of("tiles", vec![tile]).unwrap(),
+        inputs_of("gradients", vec![tile]).unwrap(),
     ];
     let (models, losses) = yields::<BoxModel>("box_models", json!({}), inputs);
     assert!(models.is_empty());

@@ -10,6 +10,7 @@ mod bodies;
 mod classes;
 mod danger;
 mod floor;
+mod gradients;
 mod indexes;
 mod keyframes;
 mod labels;

@@ -2,14 +2,17 @@
 //!
 //! | module | what it knows |
 //! |---|---|
-//! | [`mosaic`] | an overhead image of any extent, by tiles |
+//! | [`picture`] | the overhead image by tiles, and which of them are to be described anew |
 //! | [`overhead`] | the overhead image as gradients, brighter and darker floors alike |
+//! | [`mosaic`] | gradients of any extent, by tiles |
 //! | [`description`] | what is in a box: histograms of gradients by cell |
 //! | [`box_index`] | which boxes are near one |
+//! | `squares` | small squares of the floor, with their gradients sorted by direction |
 //! | [`scan`] | the places of an image where a description fits |
 //! | `lesson` | what there is to learn from |
 //! | [`template`] | where exactly a box lies |
 //! | [`teaching`] | examples in, hypotheses with their probability and questions out |
+//! | `headings` | how boxes lie to lanes |
 //! | [`rows`] | parking spaces in rows, with numbers and lanes |
 //! | [`occupancy`] | which spaces were taken during a drive |
 //!
@@ -18,12 +21,15 @@
 
 pub mod box_index;
 pub mod description;
+mod headings;
 mod lesson;
 pub mod mosaic;
 pub mod occupancy;
 pub mod overhead;
+pub mod picture;
 pub mod rows;
 pub mod scan;
+mod squares;
 pub mod teaching;
 pub mod template;
 

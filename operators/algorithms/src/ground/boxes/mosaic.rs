@@ -1,16 +1,13 @@
-//! An overhead image of any extent, by tiles, looked at in parts.
+//! The gradients of an overhead image of any extent, by tiles, looked at in parts.
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use super::overhead::{Gradients, LEVEL_M, Overhead};
+use super::overhead::{GradientCell, Gradients, NOT_SEEN, is_seen};
 use crate::ground::tiles::TILE_CELLS;
 
 /// Tiles along a part's side: with cells of 0.05 m a part is 102 m wide, and what is seen beyond its borders to describe
 /// boxes on them is a third more.
 const PART_TILES: i64 = 8;
-
-/// A pixel: grey, and alpha, which is 0 where nothing was seen.
-pub type Pixel = [u8; 2];
 
 /// Tiles of one zoom level.
 #[derive(Debug, Clone, PartialEq)]
@@ -19,8 +16,8 @@ pub struct Mosaic {
     cell_m: f64,
     /// The westernmost column and the southernmost row of tiles: parts are counted from there, so that a small image is one.
     first: [i64; 2],
-    /// By column (east) and row (north), as in [`crate::ground::tiles::TileKey`]: pixels, the northernmost row first.
-    tiles: BTreeMap<[i64; 2], Vec<Pixel>>,
+    /// By column (east) and row (north), as in [`crate::ground::tiles::TileKey`]: cells, the northernmost row first.
+    tiles: BTreeMap<[i64; 2], Vec<GradientCell>>,
 }
 
 /// A square of tiles.
@@ -42,12 +39,13 @@ impl Mosaic {
         self.cell_m
     }
 
-    /// Adds a tile; false, and nothing is added, where there are more or fewer pixels than a tile has.
-    pub fn add(&mut self, tile: [i64; 2], pixels: Vec<Pixel>) -> bool {
-        let is_whole = pixels.len() == TILE_CELLS * TILE_CELLS;
+    /// Adds a tile as [`super::picture::Picture`] describes it; false, and nothing is added, where there are more or fewer
+    /// cells than a tile has.
+    pub fn add(&mut self, tile: [i64; 2], cells: Vec<GradientCell>) -> bool {
+        let is_whole = cells.len() == TILE_CELLS * TILE_CELLS;
         if is_whole {
             self.first = [0, 1].map(|axis| self.first[axis].min(tile[axis]));
-            self.tiles.insert(tile, pixels);
+            self.tiles.insert(tile, cells);
         }
         is_whole
     }
@@ -69,27 +67,27 @@ impl Mosaic {
 
     /// What was seen (m²).
     pub fn covered_m2(&self) -> f64 {
-        let pixels = self.tiles.values().flatten();
-        pixels.filter(|[_, alpha]| *alpha > 0).count() as f64 * self.cell_m * self.cell_m
+        let cells = self.tiles.values().flatten();
+        cells.filter(|cell| is_seen(cell)).count() as f64 * self.cell_m * self.cell_m
     }
 
     /// Gradients of a part, and beyond its borders as far as boxes that reach this far (m) from a point in it need them.
     pub fn gradients(&self, part: Part, reach_m: f64) -> Gradients {
-        let beyond = ((reach_m + LEVEL_M) / self.tile_m()).ceil() as i64;
+        let beyond = (reach_m / self.tile_m()).ceil() as i64;
         let at = |axis: usize| self.first[axis] + part.0[axis] * PART_TILES;
         let first = [0, 1].map(|axis| at(axis) - beyond);
         let last = [0, 1].map(|axis| at(axis) + PART_TILES + beyond);
         let columns = self.tiles.range([first[0], i64::MIN]..[last[0], i64::MIN]);
         let near = columns.filter(|([_, row], _)| (first[1]..last[1]).contains(row));
-        Gradients::new(&self.image(&near.collect::<Vec<_>>()))
+        self.joined(&near.collect::<Vec<_>>())
     }
 
     fn tile_m(&self) -> f64 {
         self.cell_m * TILE_CELLS as f64
     }
 
-    /// The smallest image that has these tiles.
-    fn image(&self, tiles: &[(&[i64; 2], &Vec<Pixel>)]) -> Overhead {
+    /// The gradients of the smallest image that has these tiles.
+    fn joined(&self, tiles: &[(&[i64; 2], &Vec<GradientCell>)]) -> Gradients {
         let bound = |axis: usize| {
             let at = tiles.iter().map(|(tile, _)| tile[axis]);
             (at.clone().min().unwrap_or(0), at.max().unwrap_or(-1) + 1)
@@ -97,26 +95,16 @@ impl Mosaic {
         let ((west, east), (south, north)) = (bound(0), bound(1));
         let columns = (east - west) as usize * TILE_CELLS;
         let rows = (north - south) as usize * TILE_CELLS;
-        let mut image = Overhead {
-            columns,
-            rows,
-            cell_m: self.cell_m,
-            west_m: west as f64 * self.tile_m(),
-            north_m: north as f64 * self.tile_m(),
-            grey: vec![0; columns * rows],
-            covered: vec![false; columns * rows],
-        };
-        for ([x, y], pixels) in tiles {
+        let mut cells = vec![NOT_SEEN; columns * rows];
+        for ([x, y], tile) in tiles {
             let corner =
                 (north - 1 - y) as usize * TILE_CELLS * columns + (x - west) as usize * TILE_CELLS;
-            for (row, pixels) in pixels.chunks(TILE_CELLS).enumerate() {
+            for (row, line) in tile.chunks(TILE_CELLS).enumerate() {
                 let from = corner + row * columns;
-                for (at, [grey, alpha]) in pixels.iter().enumerate() {
-                    image.grey[from + at] = *grey;
-                    image.covered[from + at] = *alpha > 0;
-                }
+                cells[from..from + line.len()].copy_from_slice(line);
             }
         }
-        image
+        let corner_m = [west, north].map(|at| at as f64 * self.tile_m());
+        Gradients::new(self.cell_m, columns, corner_m, cells)
     }
 }

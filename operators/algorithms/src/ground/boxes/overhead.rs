@@ -4,7 +4,7 @@ use rayon::prelude::*;
 
 /// Side of the squares over which contrast is levelled (m): more than a space, so that lines stay stronger than the floor
 /// between them, and less than a car park, of which a part is in the dark.
-pub(super) const LEVEL_M: f64 = 8.0;
+const LEVEL_M: f64 = 8.0;
 /// Width of the mean that is taken before gradients are (m): about that of a drawn line, so that the floor's grain is gone.
 const SMOOTH_M: f64 = 0.15;
 /// Gradients below this are noise of the image, grey values per cell.
@@ -12,47 +12,54 @@ const NOISE: f32 = 1.0;
 /// A gradient counts no more than this many times the mean around it.
 const MOST: f32 = 8.0;
 
+/// No gradient depends on what is more cells away (two tiles), however small cells are.
+const MOST_RADIUS: f64 = 512.0;
+/// Strength of the strongest gradient; the steps below it are equal.
+const STRONGEST: u8 = 254;
+/// Strength of a cell that nobody saw.
+const UNSEEN: u8 = 255;
+/// Directions that are told apart, over half a turn.
+const DIRECTIONS: usize = 256;
+
+/// The gradient of a cell: its strength in steps, 255 where nothing was seen, and its direction from east in 256ths of half a
+/// turn, anticlockwise: a line has one direction, whichever side is bright.
+pub type GradientCell = [u8; 2];
+
+/// A cell of which nothing was seen.
+pub(super) const NOT_SEEN: GradientCell = [UNSEEN, 0];
+
+/// Whether anything was seen of a cell.
+pub(super) fn is_seen([strength, _]: &GradientCell) -> bool {
+    *strength != UNSEEN
+}
+
 /// A grey image of the ground, seen from above.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Overhead {
+pub(super) struct Overhead {
     /// Cells across.
-    pub columns: usize,
-    /// Cells down.
-    pub rows: usize,
-    /// Side of a cell (m).
-    pub cell_m: f64,
-    /// The image's western border, in the map (m).
-    pub west_m: f64,
-    /// Its northern border, in the map (m).
-    pub north_m: f64,
-    /// Grey values, row by row from the north.
-    pub grey: Vec<u8>,
-    /// Whether anything was seen there.
-    pub covered: Vec<bool>,
-}
-
-/// Gradients of an [`Overhead`], of equal strength wherever there is structure.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Gradients {
     pub(super) columns: usize,
+    /// Cells down.
     pub(super) rows: usize,
+    /// Side of a cell (m).
     pub(super) cell_m: f64,
-    pub(super) west_m: f64,
-    pub(super) north_m: f64,
-    /// Strength, 0 where nothing was seen, and direction in half turns from east, 0 to 1: a line has one direction, whichever
-    /// side is bright.
-    polar: Vec<[f32; 2]>,
-    /// The same as vectors, `strength (cos 2φ, sin 2φ)`: opposite gradients are one, and the mean of two is between them.
-    doubled: Vec<[f32; 2]>,
-    covered: Vec<bool>,
+    /// Grey values, row by row from the north.
+    pub(super) grey: Vec<u8>,
+    /// Whether anything was seen there.
+    pub(super) covered: Vec<bool>,
 }
 
-impl Gradients {
-    /// Of an image.
-    pub fn new(image: &Overhead) -> Self {
-        let (columns, rows) = (image.columns, image.rows);
+impl Overhead {
+    /// How many cells to each side of one its gradient depends on.
+    pub(super) fn margin(cell_m: f64) -> usize {
+        level_radius(cell_m) + smooth_radius(cell_m) + 1
+    }
+
+    /// Gradients of all cells, of equal strength wherever there is structure: those of cells with less than
+    /// [`Self::margin`] around them are of what the image shows.
+    pub(super) fn gradients(&self) -> Vec<GradientCell> {
+        let (columns, rows) = (self.columns, self.rows);
         let at = |column: usize, row: usize| row * columns + column;
-        let smooth = smoothed(image);
+        let smooth = smoothed(self);
         let raw: Vec<[f32; 2]> = (0..rows)
             .into_par_iter()
             .flat_map_iter(|row| {
@@ -63,7 +70,7 @@ impl Gradients {
                         let (columns, rows) = (column - 1..=column + 1, row - 1..=row + 1);
                         rows.flat_map(move |row| columns.clone().map(move |column| at(column, row)))
                     };
-                    if !inner || !around().all(|cell| image.covered[cell]) {
+                    if !inner || !around().all(|cell| self.covered[cell]) {
                         return [0.0; 2];
                     }
                     let grey = |column: usize, row: usize| smooth[at(column, row)];
@@ -75,43 +82,80 @@ impl Gradients {
             })
             .collect();
         let strength: Vec<f32> = raw.iter().map(|[x, y]| x.hypot(*y)).collect();
-        let radius = (0.5 * LEVEL_M / image.cell_m).round().max(1.0) as usize;
+        let radius = level_radius(self.cell_m);
         let sums = Sums::new(&strength, columns, rows);
-        let seen: Vec<f32> = image
-            .covered
-            .iter()
-            .map(|seen| f32::from(u8::from(*seen)))
-            .collect();
-        let counts = Sums::new(&seen, columns, rows);
-        let values = (0..rows).into_par_iter().flat_map_iter(|row| {
+        let seen = self.covered.iter().map(|seen| f32::from(u8::from(*seen)));
+        let counts = Sums::new(&seen.collect::<Vec<f32>>(), columns, rows);
+        let cells = (0..rows).into_par_iter().flat_map_iter(|row| {
             let (raw, strength, sums, counts) = (&raw, &strength, &sums, &counts);
             (0..columns).map(move |column| {
                 let cell = at(column, row);
+                if !self.covered[cell] {
+                    return NOT_SEEN;
+                }
                 let around =
                     sums.around(column, row, radius) / counts.around(column, row, radius).max(1.0);
                 let level = around as f32 + NOISE;
-                let limit = (MOST * level / strength[cell].max(f32::MIN_POSITIVE)).min(1.0) / level;
-                raw[cell].map(|value| value * limit)
+                let levelled = (strength[cell] / level).min(MOST);
+                gradient_cell(levelled, half_turns(raw[cell][0], raw[cell][1]))
             })
         });
-        let values: Vec<[f32; 2]> = values.collect();
-        let polar = |[east, north]: &[f32; 2]| [east.hypot(*north), half_turns(*east, *north)];
-        let doubled = |[east, north]: &[f32; 2]| {
-            let strength = east.hypot(*north).max(f32::MIN_POSITIVE);
-            [
-                (east * east - north * north) / strength,
-                2.0 * east * north / strength,
-            ]
-        };
+        cells.collect()
+    }
+}
+
+/// Cells from one to the border of the square over which its contrast is levelled.
+fn level_radius(cell_m: f64) -> usize {
+    (0.5 * LEVEL_M / cell_m).round().clamp(1.0, MOST_RADIUS) as usize
+}
+
+/// Cells from one to the border of the square over which a mean is taken before gradients are.
+fn smooth_radius(cell_m: f64) -> usize {
+    let radius = 0.5 * (SMOOTH_M / cell_m - 1.0);
+    radius.round().clamp(0.0, MOST_RADIUS) as usize
+}
+
+/// A cell with a gradient of this strength, at most [`MOST`], and direction in half turns, 0 to 1.
+fn gradient_cell(strength: f32, half_turns: f32) -> GradientCell {
+    let steps = (strength * f32::from(STRONGEST) / MOST).round();
+    let direction = (half_turns * DIRECTIONS as f32).round() as usize % DIRECTIONS;
+    [steps.min(f32::from(STRONGEST)) as u8, direction as u8]
+}
+
+/// Gradients of a part of the ground.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Gradients {
+    pub(super) columns: usize,
+    pub(super) rows: usize,
+    pub(super) cell_m: f64,
+    pub(super) west_m: f64,
+    pub(super) north_m: f64,
+    /// Row by row from the north.
+    cells: Vec<GradientCell>,
+    /// By direction: `(cos 2φ, sin 2φ)`. Opposite gradients are one, and the mean of two is between them.
+    doubled: Vec<[f32; 2]>,
+}
+
+impl Gradients {
+    /// Of cells with these sides (m), in rows of so many, from the north-western corner (m) on.
+    pub(super) fn new(
+        cell_m: f64,
+        columns: usize,
+        [west_m, north_m]: [f64; 2],
+        cells: Vec<GradientCell>,
+    ) -> Self {
+        let doubled = (0..DIRECTIONS).map(|direction| {
+            let turn = std::f32::consts::TAU * direction as f32 / DIRECTIONS as f32;
+            [turn.cos(), turn.sin()]
+        });
         Self {
             columns,
-            rows,
-            cell_m: image.cell_m,
-            west_m: image.west_m,
-            north_m: image.north_m,
-            polar: values.par_iter().map(polar).collect(),
-            doubled: values.par_iter().map(doubled).collect(),
-            covered: image.covered.clone(),
+            rows: cells.len() / columns.max(1),
+            cell_m,
+            west_m,
+            north_m,
+            cells,
+            doubled: doubled.collect(),
         }
     }
 
@@ -125,8 +169,14 @@ impl Gradients {
         if !is_inside {
             return None;
         }
-        let cell = row as usize * self.columns + column as usize;
-        self.covered[cell].then(|| self.polar[cell])
+        self.cell(column as usize, row as usize)
+    }
+
+    /// The same of the cell in a column and a row of the image.
+    pub(super) fn cell(&self, column: usize, row: usize) -> Option<[f32; 2]> {
+        let cell = &self.cells[row * self.columns + column];
+        let direction = || f32::from(cell[1]) / DIRECTIONS as f32;
+        is_seen(cell).then(|| [strength(cell), direction()])
     }
 
     /// A point of the map, by its share of the image's width and height.
@@ -147,7 +197,7 @@ impl Gradients {
         }
         let cell = row as usize * self.columns + column as usize;
         let (across, down) = (column.fract() as f32, row.fract() as f32);
-        if !self.covered[cell] {
+        if !is_seen(&self.cells[cell]) {
             return None;
         }
         let near = [cell, cell + 1, cell + self.columns, cell + self.columns + 1];
@@ -159,11 +209,21 @@ impl Gradients {
         ];
         let mut sum = [0.0; 2];
         for (cell, share) in near.into_iter().zip(share) {
-            let [cos, sin] = self.doubled[cell];
-            sum[0] += share * cos;
-            sum[1] += share * sin;
+            let cell = &self.cells[cell];
+            let [cos, sin] = self.doubled[usize::from(cell[1])];
+            let strength = share * strength(cell);
+            sum[0] += strength * cos;
+            sum[1] += strength * sin;
         }
         Some(sum)
+    }
+}
+
+/// The strength of a cell's gradient, 0 where nothing was seen.
+fn strength(cell: &GradientCell) -> f32 {
+    match is_seen(cell) {
+        true => f32::from(cell[0]) * (MOST / f32::from(STRONGEST)),
+        false => 0.0,
     }
 }
 
@@ -184,7 +244,7 @@ fn smoothed(image: &Overhead) -> Vec<f32> {
         .map(|(grey, seen)| f32::from(*grey) * seen);
     let grey: Vec<f32> = grey.collect();
     let sums = [&grey, &seen].map(|values| Sums::new(values, image.columns, image.rows));
-    let radius = (0.5 * (SMOOTH_M / image.cell_m - 1.0)).round().max(0.0) as usize;
+    let radius = smooth_radius(image.cell_m);
     let mean = |cell: usize| {
         let [grey, seen] =
             [0, 1].map(|of| sums[of].around(cell % image.columns, cell / image.columns, radius));

@@ -14,6 +14,10 @@ const ALIKE: f64 = 0.2;
 /// Neighbours are a width apart, give or take this part of it.
 const SLACK: f64 = 0.3;
 
+/// From the middle of a space to the lane that it is entered from, at most, as a rule (m): half a space of 5 m, and the 6 m of
+/// an aisle, on whose far side the lane may be.
+pub const ENTERED_WITHIN_M: f64 = 8.5;
+
 /// The centre line of a lane, from above.
 #[derive(Debug, Clone, PartialEq)]
 pub struct LaneLine {

@@ -17,8 +17,11 @@ use serde::{Deserialize, Serialize};
 use super::GroundBox;
 use super::box_index::BoxIndex;
 use super::description::{LENGTH, describe};
+use super::headings::Headings;
 use super::lesson::{Lesson, reach_of};
-use super::mosaic::{Mosaic, Part};
+use super::mosaic::Mosaic;
+use super::overhead::Gradients;
+use super::rows::LaneLine;
 use super::scan::{SAME, Scored, apart, scan};
 use super::template::Template;
 use crate::learning::calibration::Calibration;
@@ -150,19 +153,22 @@ impl Taught {
     /// Boxes that look like the examples, apart from each other and from those that are known: the likeliest first, no more
     /// than there is room for.
     pub fn find(&self, mosaic: &Mosaic, examples: &[Example]) -> Vec<Hypothesis> {
-        self.weigh(&self.search(mosaic, examples))
+        self.weigh(&self.search(mosaic, examples, &[]))
     }
 
     /// Boxes that look like the examples, anywhere in the image: the first half of [`Taught::find`], which takes most of its
-    /// time.
-    pub fn search(&self, mosaic: &Mosaic, examples: &[Example]) -> Candidates {
+    /// time. Near lanes, those that lie to them as examples do.
+    pub fn search(&self, mosaic: &Mosaic, examples: &[Example], lanes: &[LaneLine]) -> Candidates {
         let room = self.sizes_m.iter().map(|[length, width]| length * width);
         let room = mosaic.covered_m2() / room.fold(f64::INFINITY, f64::min);
         let known = Known::new(examples);
-        let found = mosaic
-            .parts()
-            .into_iter()
-            .flat_map(|part| self.find_in(mosaic, part, &known, room as usize));
+        let headings = Headings::learn(examples, lanes);
+        let found = mosaic.parts().into_iter().flat_map(|part| {
+            let is_asked =
+                |place: &GroundBox| mosaic.part(place.centre) == part && headings.allow(place);
+            let gradients = mosaic.gradients(part, reach_of(&self.sizes_m));
+            self.find_in(&gradients, is_asked, &known, room as usize)
+        });
         let mut found = apart(found.collect(), |one: &Described| one.scored);
         found.truncate(room as usize);
         Candidates(found)
@@ -203,19 +209,23 @@ impl Taught {
         hypotheses
     }
 
-    /// Those whose middle is in a part of the image.
-    fn find_in(&self, mosaic: &Mosaic, part: Part, known: &Known, most: usize) -> Vec<Described> {
-        let gradients = mosaic.gradients(part, reach_of(&self.sizes_m));
-        let is_here = |point: [f64; 2]| mosaic.part(point) == part;
+    /// Those in a part of the image that are asked for.
+    fn find_in(
+        &self,
+        gradients: &Gradients,
+        is_asked: impl Fn(&GroundBox) -> bool + Sync,
+        known: &Known,
+        most: usize,
+    ) -> Vec<Described> {
         let weights = self.process.weights();
-        let found = scan(&gradients, weights, &self.sizes_m, is_here, most);
+        let found = scan(gradients, weights, &self.sizes_m, is_asked, most);
         let open = found
             .into_iter()
             .filter(|one| known.leaves_open(&one.place));
         let open: Vec<Scored> = open.collect();
         let described = open.into_par_iter().filter_map(|found| {
-            let place = self.template.laid_on(&gradients, found.place);
-            let sample = describe(&gradients, &place)?;
+            let place = self.template.laid_on(gradients, found.place);
+            let sample = describe(gradients, &place)?;
             let scored = Scored { place, ..found };
             Some(Described { scored, sample })
         });

@@ -8,7 +8,7 @@ use evermap_algorithms::ground::boxes::teaching::{Candidates, TeachingParams};
 use evermap_catalog::labels::box_hypotheses::Kind;
 use evermap_catalog::labels::box_models::learnt;
 use evermap_schemas::Fault;
-use evermap_schemas::layers::{BoxHypothesis, PlacedLabel};
+use evermap_schemas::layers::{BoxHypothesis, Lane, PlacedLabel};
 
 /// What may be of a kind, as all that was said up to a revision teaches.
 #[derive(Debug)]
@@ -29,6 +29,7 @@ pub struct Learnt {
 pub(super) struct Lesson {
     pub(super) revision: u64,
     pub(super) mosaic: Arc<Mosaic>,
+    pub(super) lanes: Arc<Vec<Lane>>,
     pub(super) labels: Vec<PlacedLabel>,
 }
 
@@ -40,7 +41,7 @@ impl Lesson {
         let mut skip = |_, _| {};
         let models = learnt(&params, &self.mosaic, &self.labels, &mut skip)?;
         let kind = models.into_iter().next();
-        let kind = kind.and_then(|model| Kind::new(model, &self.labels, cell_m));
+        let kind = kind.and_then(|model| Kind::new(model, &self.labels, &self.lanes, cell_m));
         let is_searched = candidates.is_none();
         let found = kind.map(|kind| {
             let candidates = match candidates {

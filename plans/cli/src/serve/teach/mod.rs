@@ -291,6 +291,7 @@ impl Site {
         Lesson {
             revision: told.revision,
             mosaic: Arc::clone(&told.mosaic),
+            lanes: Arc::clone(&told.lanes),
             labels: labels.collect(),
         }
     }

@@ -8,7 +8,7 @@ use std::time::{Duration, Instant};
 use evermap_algorithms::ground::boxes::mosaic::Mosaic;
 use evermap_datasets::annotations::{Annotation, AnnotationLog};
 use evermap_schemas::Fault;
-use evermap_schemas::layers::OverheadTile;
+use evermap_schemas::layers::{Lane, OverheadGradients, OverheadTile};
 use evermap_schemas::roles::ImageAnnotation;
 use serde_json::{Value, json};
 
@@ -28,6 +28,7 @@ pub(super) struct Told {
     pub(super) map: String,
     pub(super) state: State,
     pub(super) mosaic: Arc<Mosaic>,
+    pub(super) lanes: Arc<Vec<Lane>>,
     /// All that was said of images.
     pub(super) paint: Vec<ImageAnnotation>,
     logs: BTreeMap<String, (AnnotationLog, Instant)>,
@@ -67,12 +68,18 @@ impl Told {
             line(&format!("what was said of {site}: {}", counted.trim_end()));
         }
         let tiles: Vec<OverheadTile> = opened.reader.rows(Some(site)).await?;
-        let mosaic = evermap_catalog::mosaic(tiles, &mut |_, _| {});
+        // A map that an older evermap made has none.
+        let known: Vec<OverheadGradients> = opened.reader.rows(Some(site)).await?;
+        let lanes: Vec<Lane> = opened.reader.rows(Some(site)).await?;
+        let described = move || evermap_catalog::tile_gradients(tiles, known, &mut |_, _| {});
+        let (gradients, _) = tokio::task::block_in_place(described)?;
+        let mosaic = evermap_catalog::mosaic(gradients, &mut |_, _| {});
         Ok(Self {
             opened,
             map: map.to_owned(),
             state,
             mosaic: Arc::new(mosaic),
+            lanes: Arc::new(lanes),
             paint,
             logs: BTreeMap::new(),
             folder,
