@@ -361,6 +361,56 @@ fn two_people_who_disagree_are_counted_and_the_later_holds() {
     assert_eq!(standing, expected);
 }
 
+/// What a feature says of the image that shows it goes before the pose that is nearest.
+#[test]
+fn a_feature_that_names_an_image_is_tied_to_it() {
+    let lot = Lot::new();
+    lot.run(&["a.mcap"]).expect(0);
+    let first = "SELECT CAST(stamp AS BIGINT) AS stamp, map_from_vehicle['x'] AS x FROM poses ORDER BY stamp LIMIT 1";
+    let first = lot.ask(first)[0].clone();
+    let mut people = collection(&[("one", space(20.0, 2.0)), ("two", space(20.0, 2.0))]);
+    let image = |stamp: &Value| json!({ "session": "a", "stamp": stamp, "camera": "front" });
+    for feature in people["features"].as_array_mut().unwrap() {
+        feature["properties"] = json!({ "kind": "person", "standing": "rejected" });
+    }
+    people["features"][0]["properties"]["image"] = image(&first["stamp"]);
+    lot.import("ada", &people, &[]).expect(0);
+    // The same again is nothing new, and another image is another pose.
+    let again = lot.import("ada", &people, &[]).expect(0);
+    let told = "nothing new to say, 2 as they were";
+    assert!(again.stderr.contains(told), "{}", again.stderr);
+    lot.run(&["ada.mcap"]).expect(0);
+    let tied = lot.ask(
+        "SELECT anchor['camera'] AS camera, CAST(anchor['stamp'] AS BIGINT) AS stamp, map_from_label['x'] AS x,
+           anchor['vehicle_from_label']['x'] AS from_vehicle
+         FROM placed_labels ORDER BY label",
+    );
+    assert_eq!(tied[0]["camera"], "front");
+    assert_eq!(tied[0]["stamp"], first["stamp"]);
+    let number = |row: &Value, name: &str| row[name].as_f64().unwrap();
+    let ahead = 22.5 - number(&first, "x");
+    assert!(
+        (number(&tied[0], "from_vehicle") - ahead).abs() < 1e-3,
+        "{tied}"
+    );
+    assert!((number(&tied[0], "x") - 22.5).abs() < 1e-3, "{tied}");
+    assert!(
+        tied[1]["camera"].is_null() && tied[1]["stamp"] != first["stamp"],
+        "{tied}"
+    );
+
+    people["features"][0]["properties"]["image"] = image(&7.into());
+    people["features"][1]["properties"]["image"] = json!({ "session": "a" });
+    let lost = lot.import("bob", &people, &[]).expect(3);
+    for told in [
+        "that the map has no vehicle pose of",
+        "without session, stamp (ns) and camera",
+    ] {
+        assert!(lost.stderr.contains(told), "{told}: {}", lost.stderr);
+    }
+    assert!(!lot.path("bob.mcap").exists());
+}
+
 /// Somebody with two windows open, who says two things in each; of one label something else.
 #[test]
 fn an_author_twice_at_once_loses_nothing() {

@@ -310,6 +310,7 @@ impl Drawn {
                 _ => Geometry::Closed(points),
             }),
             brush_px: None,
+            image: None,
         }
     }
 }
