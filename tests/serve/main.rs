@@ -7,6 +7,7 @@ use std::collections::BTreeMap;
 use std::io::{Read, Write};
 use std::path::Path;
 
+use evermap_tests::asked::AskedStreet;
 use evermap_tests::server::{Server, bounded, drive, map, script};
 use evermap_tests::{Finished, command, evermap, plan_command, simulate, text};
 use evermap_vision::{Grey, decode_labels};
@@ -622,51 +623,11 @@ fn people_paint_on_images_and_the_next_run_has_learnt_from_it() {
     ended("serve/teach.py", &["accepted", &server.http]);
 }
 
-/// Somebody to ask about in each image of the street, and what answers become: labels that are tied to their images.
-const ASKED: &str = "\
-plan: asked
-steps:
-  pictures: { sql: SELECT site, session, stamp, camera, image FROM frames }
-  poses:
-    sql: >
-      SELECT site, session, stamp, named_struct('x', 2.0 * nth, 'y', 0.0, 'z', 0.0,
-        'qx', 0.0, 'qy', 0.0, 'qz', 0.0, 'qw', 1.0) AS map_from_vehicle
-      FROM (SELECT site, session, stamp, row_number() OVER (PARTITION BY site, session ORDER BY stamp) AS nth FROM pictures)
-  said: { sql: SELECT * FROM annotations }
-  label_anchors: { op: label_anchors, in: { annotations: said, poses: poses } }
-  placed_labels: { op: placed_labels, in: { labels: label_anchors, poses: poses } }
-  person_questions:
-    sql: >
-      SELECT site, row_number() OVER (PARTITION BY site ORDER BY stamp) AS question, session, stamp, camera, 0 AS person,
-        3.0 AS x, 0.5 AS y, 3.0 AS range_m, make_array(100.0, 30.0, 110.0, 60.0) AS rectangle,
-        0.0 AS mean, 1.0 AS variance, 0.5 AS probability, 0.1 AS gain, 'uncertain' AS reason
-      FROM pictures
-write: [pictures, poses, said, label_anchors, placed_labels, person_questions]
-";
-
 /// Questions about people are answered by HTTP and on the page, and the next run ties each answer to its image.
 #[test]
 fn people_answer_for_who_is_seen_in_images() {
-    let folder = tempfile::tempdir().unwrap();
-    let [map, labels, street] = ["map", "labels", "street"].map(|name| folder.path().join(name));
-    let small = [
-        "length_m=80",
-        "spacing_m=10",
-        "width_px=256",
-        "height_px=83",
-        "visits=1",
-    ];
-    simulate("street", &street, &small);
-    let log = street.join("visit_a/visit_a.mcap");
-    let plan = folder.path().join("asked.yaml");
-    std::fs::write(&plan, ASKED).unwrap();
-    let run = |sessions: &[&str]| -> Finished {
-        let run = plan_command(text(&plan), &map, "street", sessions).output();
-        run.unwrap().into()
-    };
-    let first = run(&["--sessions", text(&log)]);
-    assert!([0, 3].contains(&first.code), "{}", first.stderr);
-
+    let street = AskedStreet::new();
+    let (map, labels) = (street.map(), street.path("labels"));
     let server = Server::start(&map, &["--teach", text(&labels)]);
     ended("serve/teach.py", &["people", &server.http]);
     ended("serve/teach.py", &["answered", &server.http]);
@@ -677,7 +638,7 @@ fn people_answer_for_who_is_seen_in_images() {
     let mut sessions = vec!["--sessions"];
     sessions.extend(logs.iter().map(|log| text(log)));
     // The server was killed: its logs have no end.
-    run(&sessions).expect(3);
+    street.run(&sessions).expect(3);
 
     let tied = sql(
         &map,
@@ -701,7 +662,7 @@ fn people_answer_for_who_is_seen_in_images() {
         json!(expected.map(|(nth, standing)| answer(nth, standing)))
     );
 
-    std::fs::remove_file(&log).unwrap();
+    std::fs::remove_file(street.log()).unwrap();
     let server = Server::start(&map, &["--teach", text(&labels)]);
     ended("serve/teach.py", &["blind", &server.http]);
 }

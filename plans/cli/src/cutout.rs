@@ -17,6 +17,18 @@ const PIXEL_BYTES: usize = 14;
 /// Vermilion, as the page draws what is asked about.
 const COLOUR: [u8; 3] = [0xD5, 0x5E, 0x00];
 
+/// The media type of what is shown.
+pub const PNG: &str = "image/png";
+
+/// The media type of an image that browsers and other programs show as it is; `None` for others.
+pub fn kind_of(image: &[u8]) -> Option<&'static str> {
+    match image.get(..4)? {
+        [0xFF, 0xD8, ..] => Some("image/jpeg"),
+        b"\x89PNG" => Some(PNG),
+        _ => None,
+    }
+}
+
 /// A rectangle of an image: least column and row, largest column and row, px; (0, 0) is the centre of the first pixel.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Rectangle([f64; 4]);

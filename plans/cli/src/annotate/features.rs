@@ -66,7 +66,7 @@ pub fn read(
     if let Some(program) = Program::of(path, &text) {
         let picture = mosaic.ok_or_else(|| {
             at(Fault::user("these annotations are in pixels of a picture")
-                .next("name it with --mosaic, with its world file (.pgw) beside it"))
+                .next("name it with --mosaic, with its world file (.pgw) beside it, or the folder of camera images with --images"))
         })?;
         return program.read(path, &text, picture, losses).map_err(at);
     }

@@ -178,7 +178,8 @@ fn kind<'a>(
 const STANDINGS: [&str; 4] = ["drawn", "accepted", "rejected", "removed"];
 
 /// The label that a feature is: the one that it names; without a name the one of its kind that lies just there and was not
-/// rejected, or a new one. A name that came through another program counts where there is such a label.
+/// rejected, or, of an image, whatever was said of it; or a new one. A name that came through another program counts where
+/// there is such a label.
 fn label_of(
     feature: &Feature,
     outline: Option<&(&'static str, Outline)>,
@@ -195,7 +196,7 @@ fn label_of(
     let image = feature.image.as_ref();
     let own = name(drawn.0, &drawn.1, image)?;
     let lies_there = |known: &&PlacedLabel| {
-        known.standing != "rejected"
+        (known.standing != "rejected" || image.is_some())
             && kind.is_none_or(|kind| *kind == known.kind)
             && is_shown_by(known, image)
             && !differs(known, drawn, within_m(feature))

@@ -14,7 +14,7 @@ use evermap_schemas::{Fault, Stamp};
 use serde::Deserialize;
 
 use crate::camera_images::{file, rows};
-use crate::cutout::{self, Rectangle};
+use crate::cutout::{self, PNG, Rectangle};
 use crate::reader::typed;
 use crate::serve::http::{App, Asks, MapOf, Refusal, tagged};
 use crate::serve::maps::Opened;
@@ -101,7 +101,7 @@ async fn shown(
     around: Option<Rectangle>,
 ) -> Result<(&'static str, Vec<u8>), Fault> {
     let bytes = file(&opened.reader, &opened.context, key).await?;
-    if let (Some(kind), None) = (kind_of(&bytes), around) {
+    if let (Some(kind), None) = (cutout::kind_of(&bytes), around) {
         return Ok((kind, bytes.to_vec()));
     }
     let memory = MemoryConsumer::new("an image that is decoded").register(&app.bounds.memory);
@@ -116,15 +116,4 @@ async fn shown(
     });
     let shown = work.await.map_err(|error| Fault::bug(error.to_string()))?;
     Ok((PNG, shown?))
-}
-
-const PNG: &str = "image/png";
-
-/// What a browser shows as it is; `None` for other images.
-fn kind_of(image: &[u8]) -> Option<&'static str> {
-    match image.get(..4)? {
-        [0xFF, 0xD8, ..] => Some("image/jpeg"),
-        b"\x89PNG" => Some(PNG),
-        _ => None,
-    }
 }
