@@ -7,6 +7,7 @@ use std::process::Stdio;
 
 use evermap_messages::annotation::{Annotation, Geometry};
 use evermap_recording::annotations::AnnotationLog;
+use evermap_tests::asked::AskedStreet;
 use evermap_tests::{DrivePose, Finished, command, evermap, text, write_drive};
 use serde_json::{Value, json};
 
@@ -359,6 +360,56 @@ fn two_people_who_disagree_are_counted_and_the_later_holds() {
         { "label": "two", "standing": "drawn", "author": "ada" },
     ]);
     assert_eq!(standing, expected);
+}
+
+/// What a feature says of the image that shows it goes before the pose that is nearest.
+#[test]
+fn a_feature_that_names_an_image_is_tied_to_it() {
+    let lot = Lot::new();
+    lot.run(&["a.mcap"]).expect(0);
+    let first = "SELECT CAST(stamp AS BIGINT) AS stamp, map_from_vehicle['x'] AS x FROM poses ORDER BY stamp LIMIT 1";
+    let first = lot.ask(first)[0].clone();
+    let mut people = collection(&[("one", space(20.0, 2.0)), ("two", space(20.0, 2.0))]);
+    let image = |stamp: &Value| json!({ "session": "a", "stamp": stamp, "camera": "front" });
+    for feature in people["features"].as_array_mut().unwrap() {
+        feature["properties"] = json!({ "kind": "person", "standing": "rejected" });
+    }
+    people["features"][0]["properties"]["image"] = image(&first["stamp"]);
+    lot.import("ada", &people, &[]).expect(0);
+    // The same again is nothing new, and another image is another pose.
+    let again = lot.import("ada", &people, &[]).expect(0);
+    let told = "nothing new to say, 2 as they were";
+    assert!(again.stderr.contains(told), "{}", again.stderr);
+    lot.run(&["ada.mcap"]).expect(0);
+    let tied = lot.ask(
+        "SELECT anchor['camera'] AS camera, CAST(anchor['stamp'] AS BIGINT) AS stamp, map_from_label['x'] AS x,
+           anchor['vehicle_from_label']['x'] AS from_vehicle
+         FROM placed_labels ORDER BY label",
+    );
+    assert_eq!(tied[0]["camera"], "front");
+    assert_eq!(tied[0]["stamp"], first["stamp"]);
+    let number = |row: &Value, name: &str| row[name].as_f64().unwrap();
+    let ahead = 22.5 - number(&first, "x");
+    assert!(
+        (number(&tied[0], "from_vehicle") - ahead).abs() < 1e-3,
+        "{tied}"
+    );
+    assert!((number(&tied[0], "x") - 22.5).abs() < 1e-3, "{tied}");
+    assert!(
+        tied[1]["camera"].is_null() && tied[1]["stamp"] != first["stamp"],
+        "{tied}"
+    );
+
+    people["features"][0]["properties"]["image"] = image(&7.into());
+    people["features"][1]["properties"]["image"] = json!({ "session": "a" });
+    let lost = lot.import("bob", &people, &[]).expect(3);
+    for told in [
+        "that the map has no vehicle pose of",
+        "without session, stamp (ns) and camera",
+    ] {
+        assert!(lost.stderr.contains(told), "{told}: {}", lost.stderr);
+    }
+    assert!(!lot.path("bob.mcap").exists());
 }
 
 /// Somebody with two windows open, who says two things in each; of one label something else.
@@ -869,4 +920,157 @@ fn what_goes_to_other_programs_comes_back_as_it_was() {
     let moved = lot
         .ask("SELECT round(map_from_label['x'], 3) AS x FROM placed_labels WHERE label = 'space'");
     assert_eq!(moved, json!([{ "x": 8.5 }]));
+}
+
+/// Boxes around those whom a map asks about go to other programs; what is left there is a person, what is removed none, and who
+/// is added was missed.
+#[test]
+fn boxes_on_camera_images_answer_for_who_is_seen_in_them() {
+    let street = AskedStreet::new();
+    let (map, folder, file) = (
+        street.map(),
+        street.path("people"),
+        street.path("said.json"),
+    );
+    let export = [
+        "export",
+        "person_questions",
+        "--map",
+        text(&map),
+        "--format",
+        "coco",
+    ];
+    let export = [&export[..], &["--questions", "3", "--out", text(&folder)]].concat();
+    evermap(&export).expect(0);
+    let read = |name: &str| -> Value {
+        serde_json::from_slice(&std::fs::read(folder.join(name)).unwrap()).unwrap()
+    };
+    let coco = read("coco.json");
+    let names: Vec<&str> = coco["images"]
+        .as_array()
+        .unwrap()
+        .iter()
+        .map(|image| {
+            assert_eq!(
+                (&image["session"], &image["site"]),
+                (&json!("visit_a"), &json!("street"))
+            );
+            assert_eq!(
+                [&image["width"], &image["height"]],
+                [&json!(256), &json!(83)]
+            );
+            image["file_name"].as_str().unwrap()
+        })
+        .collect();
+    assert_eq!(names.len(), 3);
+    for name in &names {
+        let bytes = std::fs::read(folder.join(name)).unwrap();
+        assert_eq!(
+            evermap_vision::image_size(&bytes).unwrap(),
+            [256, 83],
+            "{name}"
+        );
+    }
+    let asked: Vec<&Value> = coco["annotations"].as_array().unwrap().iter().collect();
+    assert_eq!(asked[0]["bbox"], json!([100.5, 30.5, 10.0, 30.0]));
+    let predicted = &read("label_studio.json")[2]["predictions"][0]["result"];
+    assert_eq!(predicted.as_array().unwrap().len(), 1);
+
+    // As a program writes it that knows nothing of ours: the first box is drawn tighter, one is removed, and on the first image
+    // somebody is added, 5 m ahead. Nobody looked at the third image.
+    let image = |id: usize| json!({ "id": id + 10, "file_name": format!("upload/3f2a1b4c-{}", names[id]), "width": 256, "height": 83 });
+    let drawn = |bbox: [f64; 4]| json!({ "image_id": 10, "category_id": 4, "bbox": bbox });
+    let said = json!({
+        "images": [image(0), image(1)],
+        "categories": [{ "id": 4, "name": "Person" }],
+        "annotations": [drawn([101.0, 32.0, 9.0, 27.0]), drawn([125.0, 42.0, 6.0, 14.0])],
+    });
+    std::fs::write(&file, said.to_string()).unwrap();
+    let import = |folder: &Path, author: &str| {
+        let log = street.path(&format!("{author}.mcap"));
+        let import = [
+            "annotate",
+            "--map",
+            text(&map),
+            "--author",
+            author,
+            "--out",
+            text(&log),
+        ];
+        evermap(
+            &[
+                &import[..],
+                &["--import", text(&file), "--images", text(folder)],
+            ]
+            .concat(),
+        )
+    };
+    let ended = import(&folder, "ada").expect(0);
+    let told = "ada.mcap: 1 accepted, 1 drawn, 1 rejected";
+    assert!(ended.stderr.contains(told), "{}", ended.stderr);
+    let again = import(&folder, "ada").expect(0);
+    let told = "nothing new to say, 3 as they were";
+    assert!(again.stderr.contains(told), "{}", again.stderr);
+
+    let ended = street.run(&["--sessions", text(&street.path("ada.mcap"))]);
+    assert!([0, 3].contains(&ended.code), "{}", ended.stderr);
+    let tied = "SELECT l.standing, p.nth, l.anchor['vehicle_from_label']['x'] AS x, l.anchor['vehicle_from_label']['y'] AS y
+                FROM placed_labels l
+                JOIN (SELECT *, row_number() OVER (ORDER BY stamp) AS nth FROM pictures) p
+                  ON p.session = l.anchor['session'] AND p.stamp = l.anchor['stamp'] AND p.camera = l.anchor['camera']
+                WHERE l.kind = 'person' ORDER BY l.standing";
+    let tied = evermap(&["sql", "--map", text(&map), "--format", "json", tied])
+        .expect(0)
+        .json();
+    let found: Vec<(&str, i64)> = tied
+        .as_array()
+        .unwrap()
+        .iter()
+        .map(|row| {
+            (
+                row["standing"].as_str().unwrap(),
+                row["nth"].as_i64().unwrap(),
+            )
+        })
+        .collect();
+    assert_eq!(found, [("accepted", 1), ("drawn", 1), ("rejected", 2)]);
+    for (row, [x, y], within_m) in [
+        (0_usize, [3.0, 0.5], 1e-3),
+        (1, [5.0, 0.0], 1.5),
+        (2, [3.0, 0.5], 1e-3),
+    ] {
+        let off_m =
+            |name: &str, expected: f64| (tied[row][name].as_f64().unwrap() - expected).abs();
+        assert!(
+            off_m("x", x) <= within_m && off_m("y", y) <= within_m,
+            "{tied}"
+        );
+    }
+    // In the version that has them they are the same labels, also who was rejected.
+    let again = import(&folder, "bob").expect(0);
+    assert!(again.stderr.contains(told), "{}", again.stderr);
+
+    let refused = import(&map, "bob").expect(1);
+    let told = "expected a folder of camera images, found";
+    assert!(refused.stderr.contains(told), "{}", refused.stderr);
+    std::fs::write(
+        &file,
+        said.to_string()
+            .replace(names[0], "a.png")
+            .replace(names[1], "b.png"),
+    )
+    .unwrap();
+    let refused = import(&folder, "bob").expect(1);
+    let told =
+        "expected annotations of the images of the folder, found those of `upload/3f2a1b4c-a.png`";
+    assert!(refused.stderr.contains(told), "{}", refused.stderr);
+
+    // Without the log there are no images, and that is counted.
+    std::fs::remove_file(street.log()).unwrap();
+    let lost = evermap(&export).expect(3);
+    assert!(
+        lost.stderr.contains("image that cannot be read"),
+        "{}",
+        lost.stderr
+    );
 }

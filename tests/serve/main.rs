@@ -7,6 +7,7 @@ use std::collections::BTreeMap;
 use std::io::{Read, Write};
 use std::path::Path;
 
+use evermap_tests::asked::AskedStreet;
 use evermap_tests::server::{Server, bounded, drive, map, script};
 use evermap_tests::{Finished, command, evermap, plan_command, simulate, text};
 use evermap_vision::{Grey, decode_labels};
@@ -620,6 +621,50 @@ fn people_paint_on_images_and_the_next_run_has_learnt_from_it() {
     // What the map has learnt is accepted where it is right.
     let server = Server::start(&map, &["--teach", text(&labels)]);
     ended("serve/teach.py", &["accepted", &server.http]);
+}
+
+/// Questions about people are answered by HTTP and on the page, and the next run ties each answer to its image.
+#[test]
+fn people_answer_for_who_is_seen_in_images() {
+    let street = AskedStreet::new();
+    let (map, labels) = (street.map(), street.path("labels"));
+    let server = Server::start(&map, &["--teach", text(&labels)]);
+    ended("serve/teach.py", &["people", &server.http]);
+    ended("serve/teach.py", &["answered", &server.http]);
+    drop(server);
+    let logs = std::fs::read_dir(labels.join("map/street")).unwrap();
+    let mut logs: Vec<_> = logs.map(|log| log.unwrap().path()).collect();
+    logs.sort();
+    let mut sessions = vec!["--sessions"];
+    sessions.extend(logs.iter().map(|log| text(log)));
+    // The server was killed: its logs have no end.
+    street.run(&sessions).expect(3);
+
+    let tied = sql(
+        &map,
+        "SELECT l.standing, p.nth, round(l.anchor['vehicle_from_label']['x'], 3) AS x,
+           round(l.anchor['vehicle_from_label']['y'], 3) AS y
+         FROM placed_labels l
+         JOIN (SELECT *, row_number() OVER (ORDER BY stamp) AS nth FROM pictures) p
+           ON p.session = l.anchor['session'] AND p.stamp = l.anchor['stamp'] AND p.camera = l.anchor['camera']
+         WHERE l.kind = 'person' ORDER BY p.nth",
+    );
+    let answer =
+        |nth: u64, standing: &str| json!({ "standing": standing, "nth": nth, "x": 3.0, "y": 0.5 });
+    let expected = [
+        (1, "accepted"),
+        (2, "rejected"),
+        (3, "accepted"),
+        (5, "rejected"),
+    ];
+    assert_eq!(
+        tied,
+        json!(expected.map(|(nth, standing)| answer(nth, standing)))
+    );
+
+    std::fs::remove_file(street.log()).unwrap();
+    let server = Server::start(&map, &["--teach", text(&labels)]);
+    ended("serve/teach.py", &["blind", &server.http]);
 }
 
 /// What Chromium makes of the page, once its scripts have done their work; `None` where it is not installed.

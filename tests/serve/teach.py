@@ -1,6 +1,7 @@
-"""Says things of a map by HTTP: read-only|taught|later|painted ADDRESS; by its page: page|accepted ADDRESS."""
+"""Says things of a map by HTTP: read-only|taught|later|painted|people|blind ADDRESS; by its page: page|accepted|answered ADDRESS."""
 
 import json
+import struct
 import sys
 from pathlib import Path
 from urllib.error import HTTPError, URLError
@@ -186,9 +187,117 @@ def accepted(host):
     assert "kerb" not in {label["kind"] for label in ask(here)[1]["labels"]}
 
 
+def asked(host):
+    """The questions about people that are open, as the map numbers them, and all that is said of them."""
+    status, said = ask(f"http://{host}/teach/street/person?revision=0&searched=true")
+    assert status == 200 and said["unplaced"] == 0 and said["is_searched"], said
+    return [one["question"] for one in said["hypotheses"]], said["hypotheses"]
+
+
+def part(host, image, around):
+    """What the server answers that is asked for the part of an image: status and size of a PNG, or what it says."""
+    try:
+        with urlopen(f"http://{host}/images?{urlencode({**image, 'around': around})}", timeout=30) as answer:
+            png = answer.read()
+            assert answer.headers["content-type"] == "image/png" and png[:8] == b"\x89PNG\r\n\x1a\n"
+            return 200, struct.unpack(">II", png[16:24])
+    except HTTPError as error:
+        said = json.loads(error.read())
+        return error.code, " ".join(said.get(word) or "" for word in ("place", "error", "next"))
+
+
+def of_person(one, standing, **image):
+    x, y = (one["map_from_label"][axis] for axis in "xy")
+    made = feature("person", [[x + 0.2, y + 0.2], [x - 0.2, y + 0.2], [x - 0.2, y - 0.2], [x + 0.2, y - 0.2]], standing)
+    made["properties"]["image"] = {**one["image"], **image}
+    return made
+
+
+def people(host):
+    """Answers the first two questions about people; one answer is taken back and given again. All else is refused."""
+    here, images = f"http://{host}/teach/street", pictures(host)
+    all_of_them = list(range(1, len(images) + 1))
+    numbers, open_ones = asked(host)
+    assert numbers == all_of_them and [one["image"] for one in open_ones] == images, open_ones
+    first, second = open_ones[:2]
+    assert (first["probability"], first["reason"], first["rectangle"]) == (0.5, "uncertain", [100, 30, 110, 60]), first
+
+    # 16 px on each side of the rectangle, as far as the image of 256 x 83 px goes.
+    assert part(host, first["image"], "100,30,110,60") == (200, (43, 63))
+    assert part(host, first["image"], "-5,-5,5,5") == (200, (22, 22))
+    for around, text in [("1,2,3", "expected a rectangle as"), ("9,9,1,1", "expected a rectangle as"), ("900,1,950,9", "in an image of 256 × 83 px")]:
+        status, said = part(host, first["image"], around)
+        assert status == 400 and text in said, (around, said)
+    status, said = part(host, {**first["image"], "stamp": "7"}, "1,1,9,9")
+    assert status == 400 and "no image of" in said, said
+
+    yes = of_person(first, "accepted")
+    status, said = ask(here, {"author": "ada", "features": yes})
+    assert status == 200 and said["saved"] == 1, said
+    assert asked(host)[0] == all_of_them[1:]
+    assert ask(here, {"author": "ada", "features": yes})[1]["saved"] == 0
+    assert ask(here, {"author": "ada", "features": said["undo"]})[1]["saved"] == 1
+    assert asked(host)[0] == all_of_them
+    status, said = ask(here, {"author": "ada", "features": yes})
+    assert said["saved"] == 1, said
+    # Removed by another, and taken back: it is still about its image.
+    (label,) = said["labels"]
+    removed = {"type": "Feature", "id": label["label"], "geometry": None, "properties": {"kind": "person", "standing": "removed"}}
+    said = ask(here, {"author": "bob", "features": removed})[1]
+    assert asked(host)[0] == all_of_them
+    assert ask(here, {"author": "bob", "features": said["undo"]})[1]["saved"] == 1
+    assert asked(host)[0] == all_of_them[1:]
+    # A stamp may be a number, too.
+    no = of_person(second, "rejected", stamp=int(second["image"]["stamp"]))
+    assert ask(here, {"author": "ada", "features": no})[1]["saved"] == 1
+    for image, text in [({"camera": None}, "without session, stamp (ns) and camera"), ({"stamp": "soon"}, "without session, stamp (ns) and camera"),
+                        ({"stamp": "7"}, "no vehicle pose"), ({"session": "nobody"}, "no vehicle pose")]:
+        status, said = ask(here, {"author": "ada", "features": of_person(open_ones[2], "accepted", **image)})
+        assert status == 400 and text in said["error"] and said["next"] == "nothing was saved", (image, said)
+    assert asked(host)[0] == all_of_them[2:]
+
+
+def answered(host):
+    """Answers the third and the fifth question with the page, and skips the fourth."""
+    sys.path.append(str(Path(__file__).parents[1]))
+    from browser import Browser, until
+
+    numbers, _ = asked(host)
+    browser = Browser(f"http://{host}/")
+    shown = lambda: browser.said("evermap.taught.question?.question")
+    try:
+        kind = "document.getElementById('kind')"
+        browser.said(f"{kind}.value = 'person'; {kind}.dispatchEvent(new Event('change'))")
+        until(lambda: shown() == 3)
+        assert browser.text("question").startswith("Is this a person? 50 %: uncertain"), browser.text("question")
+        until(lambda: browser.said("!document.getElementById('seen-image').hidden && document.getElementById('seen-image').naturalWidth") == 43)
+        browser.press("a")
+        until(lambda: "saved; labels: 3" in browser.text("saved"))
+        until(lambda: shown() == 4)
+        browser.press("s")
+        until(lambda: shown() == 5)
+        browser.press("r")
+        until(lambda: "saved; labels: 4" in browser.text("saved"))
+        # What was skipped does not come again.
+        until(lambda: shown() == 6 and browser.said("evermap.taught.asked.length") == len(numbers) - 3)
+        assert browser.text("fault") == ""
+    finally:
+        browser.close()
+    assert asked(host)[0] == [4, *numbers[3:]]
+
+
+def blind(host):
+    """What was answered is not asked again in the next version. Where the log is gone, questions are there, and why their images are not."""
+    numbers, open_ones = asked(host)
+    assert numbers == [4, *range(6, len(pictures(host)) + 1)], numbers
+    status, said = part(host, open_ones[0]["image"], "100,30,110,60")
+    assert status >= 400 and "visit_a" in said, (status, said)
+
+
 def main(what, host):
-    if what in ("painted", "page", "accepted"):
-        return {"painted": painted, "page": page, "accepted": accepted}[what](host)
+    others = {"painted": painted, "page": page, "accepted": accepted, "people": people, "answered": answered, "blind": blind}
+    if what in others:
+        return others[what](host)
     here = f"http://{host}/teach"
     status, may = ask(here)
     assert status == 200

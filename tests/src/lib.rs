@@ -5,6 +5,7 @@
 
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
+pub mod asked;
 pub mod kitti;
 pub mod odometry;
 pub mod park;

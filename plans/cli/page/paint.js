@@ -140,7 +140,7 @@ export class Painting {
       this.isReady = true;
       this.draw("polygon");
     } catch (error) {
-      this.page.fault(error instanceof DOMException ? "the image cannot be shown: its log is not there, or it is neither JPEG nor PNG" : error.message);
+      this.page.fault(error instanceof DOMException ? "the image cannot be shown: its log is not there, or nobody here reads such an image" : error.message);
     }
   }
 

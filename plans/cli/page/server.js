@@ -63,6 +63,18 @@ export function image(session, camera, stamp, version) {
   return `./images?${new URLSearchParams({ session, camera, stamp, version })}`;
 }
 
+/**
+ * The part of a camera image around a rectangle, which is drawn.
+ * @param {{session: string, camera: string, stamp: string}} image
+ * @param {number[]} around least column and row, largest column and row
+ * @returns {Promise<Blob>}
+ */
+export async function part({ session, camera, stamp }, around) {
+  const answer = await fetch(`./images?${new URLSearchParams({ session, camera, stamp, around: around.join(",") })}`);
+  if (answer.ok) return answer.blob();
+  throw new Fault(await answer.json().catch(() => ({ error: `the server answers ${answer.status}` })));
+}
+
 /** A text as a literal of SQL. */
 export function literal(text) {
   return `'${String(text).replaceAll("'", "''")}'`;

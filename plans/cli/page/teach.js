@@ -1,12 +1,12 @@
 /** Teaching: people draw boxes, areas and lines, and answer what the map asks. What the page calls saved is on the disk. */
 import { BLUE, GREEN, GREY, VERMILION, YELLOW, faint } from "./colours.js";
 import { box, outline } from "./shapes.js";
-import { OTHERS_MS, teaching } from "./server.js";
+import { OTHERS_MS, part, teaching } from "./server.js";
 
 /* global ol */
 
 const $ = (id) => document.getElementById(id);
-const KINDS = ["parking_space", "crossing", "stop_line", "arrow"];
+const KINDS = ["parking_space", "crossing", "stop_line", "arrow", "person"];
 const STANDING = { drawn: { colour: GREEN }, accepted: { colour: GREEN }, rejected: { colour: GREY, dashed: true } };
 
 /**
@@ -31,23 +31,27 @@ export async function begin(map, state, page) {
 
 const layer = (zIndex) => new ol.layer.Vector({ source: new ol.source.Vector(), zIndex, updateWhileInteracting: true });
 const middle = (one) => [one.map_from_label.x, one.map_from_label.y];
-const near = (a, b) => Math.hypot(middle(a)[0] - middle(b)[0], middle(a)[1] - middle(b)[1]) < 0.3 * Math.min(a.width_m, a.length_m);
+/** Of the map around a person as much is shown as around a thing of this size, m. */
+const AROUND_M = 3;
+/** Which image shows who is asked about, and where; `undefined` of what lies on the ground. */
+const shown = ({ image, rectangle }) => image && JSON.stringify([image.session, image.camera, image.stamp, rectangle]);
+const near = (a, b) => (a.image || b.image ? shown(a) === shown(b) : Math.hypot(middle(a)[0] - middle(b)[0], middle(a)[1] - middle(b)[1]) < 0.3 * Math.min(a.width_m, a.length_m));
 
 class Teaching {
   constructor(map, state, page) {
-    Object.assign(this, { map, state, page, labels: [], revision: 0, asked: [], question: undefined, undone: [], chosen: undefined });
+    Object.assign(this, { map, state, page, labels: [], revision: 0, asked: [], skipped: new Set(), question: undefined, undone: [], chosen: undefined });
     [this.proposed, this.said, this.pointed] = [layer(92), layer(94), layer(96)];
     for (const made of [this.proposed, this.said, this.pointed]) map.addLayer(made);
     $("kinds").replaceChildren(...KINDS.map((kind) => new Option(kind)));
     $("kind").addEventListener("change", () => { this.asked = []; this.ask(undefined); this.rank(); });
     for (const [id, doing] of Object.entries({
       "draw-box": () => this.draw("box"), "draw-area": () => this.draw("area"), "draw-line": () => this.draw("line"),
-      accept: () => this.answer("accepted"), reject: () => this.answer("rejected"), skip: () => this.next(),
+      accept: () => this.answer("accepted"), reject: () => this.answer("rejected"), skip: () => this.skip(),
       undo: () => this.undo(), remove: () => this.remove(),
     })) $(id).addEventListener("click", doing);
     this.keys = {
       b: () => this.draw("box"), p: () => this.draw("area"), i: () => this.draw("line"), a: () => this.answer("accepted"),
-      r: () => this.answer("rejected"), s: () => this.next(), u: () => this.undo(), Delete: () => this.remove(),
+      r: () => this.answer("rejected"), s: () => this.skip(), u: () => this.undo(), Delete: () => this.remove(),
     };
   }
 
@@ -57,7 +61,7 @@ class Teaching {
 
   /** Shows a site, and what is asked of it. */
   async open() {
-    Object.assign(this, { revision: 0, asked: [], undone: [] });
+    Object.assign(this, { revision: 0, asked: [], skipped: new Set(), undone: [] });
     $("undo").disabled = true;
     this.ask(undefined);
     this.choose(undefined);
@@ -104,16 +108,16 @@ class Teaching {
     }
   }
 
-  rankIs({ hypotheses, milliseconds, is_searched: isSearched, revision }) {
+  rankIs({ hypotheses, milliseconds, is_searched: isSearched, revision, unplaced = 0 }) {
     const features = hypotheses.filter(({ probability, question }) => probability >= 0.5 || question).map((row) => {
       const made = box(row.map_from_label, row.length_m, row.width_m, { row, colour: row.probability >= 0.5 ? BLUE : YELLOW, dashed: true, fill: 0.05 + 0.2 * row.probability });
       return made;
     });
     this.proposed.getSource().clear();
     this.proposed.getSource().addFeatures(features);
-    this.asked = hypotheses.filter(({ question }) => question).sort((a, b) => a.question - b.question);
+    this.asked = hypotheses.filter((one) => one.question && !this.skipped.has(shown(one))).sort((a, b) => a.question - b.question);
     const likely = hypotheses.filter(({ probability }) => probability >= 0.5).length;
-    Object.assign(this, { ranked: { likely, milliseconds, isSearched }, rankedRevision: revision });
+    Object.assign(this, { ranked: { likely, milliseconds, isSearched, unplaced }, rankedRevision: revision });
     // What a person looks at does not change under their hands, unless it is answered.
     const same = this.question && this.asked.find((one) => near(one, this.question));
     this.ask(same ?? this.asked[0], Boolean(same));
@@ -127,20 +131,56 @@ class Teaching {
     const { likely = 0 } = this.ranked ?? {};
     $("question").textContent = question
       ? `Is this a ${this.kind.replaceAll("_", " ")}? ${Math.round(100 * question.probability)} %: ${question.reason}. ${likely} more are likely.`
-      : this.labels.some(({ kind, standing }) => kind === this.kind && standing !== "rejected") ? "nothing is worth asking" : `Draw a ${this.kind.replaceAll("_", " ")}, or a few: others will be found.`;
+      : this.nothing();
+    this.lookAt(question);
     if (!question) return;
     this.pointed.getSource().addFeature(box(question.map_from_label, question.length_m, question.width_m, { colour: VERMILION, fill: 0.12, row: question }));
     // Nor does the map move under a drawing.
     if (stays || this.drawing) return;
     const view = this.map.getView();
-    const resolution = Math.min(view.getResolution(), Math.max(question.length_m, question.width_m) / 120);
+    const across_m = question.image ? AROUND_M : Math.max(question.length_m, question.width_m);
+    const resolution = Math.min(view.getResolution(), across_m / 120);
     // The panel covers the left, and images the lower third.
     const [wide, high] = this.map.getSize();
     const [x, y] = middle(question);
     const center = wide > 760 ? [x - 0.1 * wide * resolution, y - 0.17 * high * resolution] : [x, y];
     view.animate({ center, resolution, duration: 200 });
     clearTimeout(this.looking);
+    // Who is seen in an image is shown in that one.
+    if (question.image) return;
     this.looking = setTimeout(() => { if (!this.drawing) this.page.images(middle(question)); }, 300);
+  }
+
+  /** What is said where nothing is asked. */
+  nothing() {
+    const { kind, ranked: { unplaced = 0 } = {} } = this;
+    if (kind === "person") return unplaced ? `${unplaced} cannot be asked about: the map does not say where their images were taken.` : "nobody is worth asking about; the plan people asks, anew with each run";
+    if (this.labels.some((label) => label.kind === kind && label.standing !== "rejected")) return "nothing is worth asking";
+    return `Draw a ${kind.replaceAll("_", " ")}, or a few: others will be found.`;
+  }
+
+  /** Shows the part of an image that a question is about, or why it is not there. */
+  async lookAt(question) {
+    const wanted = question && shown(question);
+    $("seen").hidden = !wanted;
+    if (!wanted || wanted === this.seen) return;
+    this.seen = wanted;
+    const { image, rectangle } = question;
+    $("seen-image").hidden = true;
+    $("seen-note").textContent = "reading the image …";
+    const found = await part(image, rectangle).catch((error) => error);
+    if (this.seen !== wanted) return;
+    const isThere = found instanceof Blob;
+    URL.revokeObjectURL($("seen-image").src);
+    $("seen-image").hidden = !isThere;
+    if (isThere) $("seen-image").src = URL.createObjectURL(found);
+    $("seen-note").textContent = `${image.session}, ${image.camera}${isThere ? "" : `: the image cannot be shown: ${found.message}`}`;
+  }
+
+  /** Leaves a question open: of people it does not come again, as what others say does not change the list. */
+  skip() {
+    if (this.question?.image) this.skipped.add(shown(this.question));
+    this.next();
   }
 
   /** Goes on to the next question. */
@@ -154,7 +194,7 @@ class Teaching {
     if (!question) return;
     const [ring] = box(question.map_from_label, question.length_m, question.width_m, { colour: BLUE }).getGeometry().getCoordinates();
     this.next();
-    await this.say([{ type: "Feature", geometry: { type: "Polygon", coordinates: [ring] }, properties: { kind: this.kind, standing } }]);
+    await this.say([{ type: "Feature", geometry: { type: "Polygon", coordinates: [ring] }, properties: { kind: this.kind, standing, image: question.image } }]);
   }
 
   /** Says features; they are saved when this returns `true`. */

@@ -17,9 +17,11 @@
 pub mod annotate;
 pub mod arguments;
 mod camera_frames;
+mod camera_images;
 pub mod commands;
 pub mod contents;
 pub mod coordinate_frames;
+mod cutout;
 pub mod draw;
 mod earth;
 pub mod ending;

@@ -11,7 +11,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::inputs::asking::reason;
 use crate::inputs::painting::ImageKey;
-use crate::inputs::people::learnt;
+use crate::inputs::people::{ANSWERED_M, learnt};
 
 /// See the module's page.
 pub struct PersonQuestions;
@@ -19,9 +19,6 @@ pub struct PersonQuestions;
 /// There is nothing to choose.
 #[derive(Debug, Clone, Default, Serialize, Deserialize, JsonSchema)]
 pub struct PersonQuestionsParams {}
-
-/// An example within this (m) of a hypothesis of its image answers it.
-const ANSWERED_M: f64 = 0.3;
 
 impl Operator for PersonQuestions {
     const NAME: &'static str = "person_questions";

@@ -15,9 +15,11 @@ use crate::inputs::pixels::{left_out, undecoded};
 use crate::inputs::rig::OfVehicle;
 
 /// Kind of the labels that say who is a person, and what is none.
-pub(crate) const PERSON: &str = "person";
+pub const PERSON: &str = "person";
 /// Standing of those that say that somebody is none.
 pub(crate) const REJECTED: &str = "rejected";
+/// Who was answered about stands within this (m), in the vehicle frame, of who is asked about in the same image.
+pub const ANSWERED_M: f64 = 0.3;
 /// Cameras kept at most, each with tables of some 20 MB.
 const MOST_VIEWS: usize = 16;
 

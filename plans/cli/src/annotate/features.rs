@@ -3,6 +3,7 @@
 use std::path::Path;
 
 use evermap_algorithms::labels::shapes::{self, Outline, crossing};
+use evermap_catalog::painted::ImageKey;
 use evermap_schemas::Fault;
 use serde_json::Value;
 
@@ -34,6 +35,8 @@ pub struct Feature {
     pub geometry: Option<Geometry>,
     /// Diameter of the brush that a line on an image was drawn with, px.
     pub brush_px: Option<f64>,
+    /// The image that shows it, where it says so: it is tied to the vehicle pose of that image, and no other.
+    pub image: Option<ImageKey>,
 }
 
 /// An outline in the map, m; without a height where the file has none.
@@ -63,7 +66,7 @@ pub fn read(
     if let Some(program) = Program::of(path, &text) {
         let picture = mosaic.ok_or_else(|| {
             at(Fault::user("these annotations are in pixels of a picture")
-                .next("name it with --mosaic, with its world file (.pgw) beside it"))
+                .next("name it with --mosaic, with its world file (.pgw) beside it, or the folder of camera images with --images"))
         })?;
         return program.read(path, &text, picture, losses).map_err(at);
     }

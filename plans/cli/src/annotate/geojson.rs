@@ -1,6 +1,7 @@
 //! Features of GeoJSON whose coordinates are the map's metres.
 
-use evermap_schemas::Fault;
+use evermap_catalog::painted::ImageKey;
+use evermap_schemas::{Fault, Stamp};
 use serde_json::Value;
 
 use super::features::{Feature, Geometry, Point};
@@ -26,8 +27,10 @@ pub fn features(value: &Value, losses: &mut Losses) -> Result<Vec<Feature>, Faul
             Some(label) => format!("feature {number}, label {label}"),
             None => format!("feature {number}"),
         };
-        match geometry(&value["geometry"]) {
-            Ok(geometry) => found.push(Feature {
+        let read = geometry(&value["geometry"])
+            .and_then(|geometry| Ok((geometry, image(&value["properties"]["image"])?)));
+        match read {
+            Ok((geometry, image)) => found.push(Feature {
                 place,
                 label,
                 within_m: None,
@@ -36,6 +39,7 @@ pub fn features(value: &Value, losses: &mut Losses) -> Result<Vec<Feature>, Faul
                 standing: text(&value["properties"]["standing"]),
                 geometry,
                 brush_px: value["properties"]["brush_px"].as_f64(),
+                image,
             }),
             Err(reason) => losses.note(reason, &place),
         }
@@ -59,6 +63,24 @@ pub(super) fn text(value: &Value) -> Option<String> {
         Value::Number(number) => Some(number.to_string()),
         _ => None,
     }
+}
+
+/// The image that shows a feature; `None` where it names none. Its instant (ns) may be a text: JavaScript rounds such numbers.
+fn image(value: &Value) -> Result<Option<ImageKey>, &'static str> {
+    if value.is_null() {
+        return Ok(None);
+    }
+    let stamp = &value["stamp"];
+    let stamp = stamp.as_i64().or_else(|| stamp.as_str()?.parse().ok());
+    match (text(&value["session"]), stamp, text(&value["camera"])) {
+        (Some(session), Some(stamp), Some(camera)) => Ok(Some((session, Stamp(stamp), camera))),
+        _ => Err("feature of an image without session, stamp (ns) and camera"),
+    }
+}
+
+/// The properties of a feature that say which image shows it.
+pub fn of_image((session, stamp, camera): &ImageKey) -> Value {
+    serde_json::json!({ "session": session, "stamp": stamp.0.to_string(), "camera": camera })
 }
 
 /// The outline of a geometry; `None` for a feature that has none.
@@ -125,6 +147,37 @@ mod tests {
         assert_eq!(named(1.into(), json!({})), Some("1".to_owned()));
         // A row that was drawn among labels: it has none yet.
         assert_eq!(named("4".into(), json!({ "label": null })), None);
+    }
+
+    #[test]
+    fn an_image_is_named_by_session_stamp_and_camera_or_not_at_all() {
+        let read = |image: Value| {
+            let properties = json!({ "kind": "person", "image": image });
+            let feature = json!({ "type": "Feature", "properties": properties, "geometry": null });
+            let mut losses = Losses::default();
+            let found = features(&feature, &mut losses).unwrap();
+            assert_eq!(found.len() + losses.lines.len(), 1);
+            found.into_iter().next().map(|feature| feature.image)
+        };
+        let image = (
+            "a".to_owned(),
+            Stamp(1_799_999_999_123_456_789),
+            "front".to_owned(),
+        );
+        assert_eq!(read(of_image(&image)), Some(Some(image.clone())));
+        let number = json!({ "session": "a", "stamp": image.1.0, "camera": "front" });
+        assert_eq!(read(number), Some(Some(image)));
+        assert_eq!(read(Value::Null), Some(None));
+        for bad in [
+            json!({}),
+            json!("a"),
+            json!({ "session": "a", "stamp": 1.5, "camera": "front" }),
+            json!({ "session": "a", "stamp": "soon", "camera": "front" }),
+            json!({ "session": "", "stamp": 1, "camera": "front" }),
+            json!({ "session": "a", "stamp": 1 }),
+        ] {
+            assert_eq!(read(bad.clone()), None, "{bad}");
+        }
     }
 
     #[test]

@@ -2,7 +2,8 @@
 //!
 //! ```text
 //!   GeoJSON ─────────────────► features ─┐
-//!   pixels of a mosaic ──────────────────┴─► saying ──► acts ──► a log of annotations
+//!   pixels of a mosaic ──────────────────┤
+//!   boxes on camera images ──► people ───┴─► saying ──► acts ──► a log of annotations
 //!                                               ▲
 //!   a map's version, logs ──► state: labels placed in it ──► GeoJSON, pixels of a mosaic
 //! ```
@@ -10,6 +11,8 @@
 pub mod features;
 pub mod geojson;
 pub mod mosaic;
+pub mod people;
+pub mod person_images;
 pub mod pixels;
 pub mod saying;
 pub mod state;

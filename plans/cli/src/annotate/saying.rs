@@ -4,6 +4,7 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use evermap_algorithms::geometry::pose;
 use evermap_algorithms::labels::shapes::Outline;
+use evermap_catalog::painted::ImageKey;
 use evermap_datasets::annotations::{Anchor, Annotation, Geometry};
 use evermap_engine::digest::digest_of;
 use evermap_schemas::layers::PlacedLabel;
@@ -12,7 +13,7 @@ use nalgebra::Vector3;
 
 use super::Losses;
 use super::features::Feature;
-use super::state::{State, without_poses};
+use super::state::{State, image_of, without_poses};
 
 /// A label that was not drawn on a picture has moved where a point of it has by more than this, m.
 const MOVED_M: f64 = 1e-3;
@@ -80,6 +81,12 @@ fn acts(
         Some(Err(reason)) => return Ok(Err(reason)),
         None => None,
     };
+    let image = feature.image.as_ref();
+    if image.is_some_and(|image| state.map_from_vehicle(image).is_none()) {
+        return Ok(Err(
+            "feature of an image that the map has no vehicle pose of",
+        ));
+    }
     let kind = match kind(feature, state, speaker) {
         Ok(kind) => kind,
         Err(reason) => return Ok(Err(reason)),
@@ -111,7 +118,7 @@ fn acts(
         }
     };
     let mut placed = |(shape, outline): &(&str, Outline)| {
-        let place = held(shape, outline, state);
+        let place = held(shape, outline, image, state);
         if place.1.is_none() {
             losses.note("label too far from every vehicle pose", &feature.place);
         }
@@ -133,8 +140,10 @@ fn acts(
             vec![act("drawn", Some(place))]
         }
         (Some(known), outline) => {
-            let same =
-                |outline: &&_| known.kind == *kind && !differs(known, outline, within_m(feature));
+            let same = |outline: &&_| {
+                let is_there = !differs(known, outline, within_m(feature));
+                known.kind == *kind && is_there && is_shown_by(known, image)
+            };
             let anew = outline.as_ref().filter(|outline| !same(outline));
             let mut acts = Vec::new();
             acts.extend(anew.map(|outline| act("moved", Some(placed(outline)))));
@@ -169,7 +178,8 @@ fn kind<'a>(
 const STANDINGS: [&str; 4] = ["drawn", "accepted", "rejected", "removed"];
 
 /// The label that a feature is: the one that it names; without a name the one of its kind that lies just there and was not
-/// rejected, or a new one. A name that came through another program counts where there is such a label.
+/// rejected, or, of an image, whatever was said of it; or a new one. A name that came through another program counts where
+/// there is such a label.
 fn label_of(
     feature: &Feature,
     outline: Option<&(&'static str, Outline)>,
@@ -183,10 +193,12 @@ fn label_of(
     let Some(drawn) = outline else {
         return Ok(None);
     };
-    let own = name(drawn.0, &drawn.1)?;
+    let image = feature.image.as_ref();
+    let own = name(drawn.0, &drawn.1, image)?;
     let lies_there = |known: &&PlacedLabel| {
-        known.standing != "rejected"
+        (known.standing != "rejected" || image.is_some())
             && kind.is_none_or(|kind| *kind == known.kind)
+            && is_shown_by(known, image)
             && !differs(known, drawn, within_m(feature))
     };
     let there = match labels.contains_key(&own) {
@@ -196,15 +208,24 @@ fn label_of(
     Ok(Some(there.map_or(own, |known| known.label.clone())))
 }
 
+/// Whether a label is tied to the image that a feature names, if it names one.
+fn is_shown_by(known: &PlacedLabel, image: Option<&ImageKey>) -> bool {
+    image.is_none_or(|image| image_of(known).as_ref() == Some(image))
+}
+
 /// A label is where it was as long as no point of it has moved by more than this, m.
 fn within_m(feature: &Feature) -> f64 {
     feature.within_m.unwrap_or_default().max(MOVED_M)
 }
 
-/// A name made of what was drawn, so that the same file says the same labels again.
-fn name(shape: &str, outline: &Outline) -> Result<String, Fault> {
+/// A name made of what was drawn, and of which image, so that the same file says the same labels again.
+fn name(shape: &str, outline: &Outline, image: Option<&ImageKey>) -> Result<String, Fault> {
     let whole = (shape, &outline.points, outline.map_from_label.to_array());
-    Ok(digest_of(&whole)?.chars().take(16).collect())
+    let digest = match image {
+        None => digest_of(&whole),
+        Some(image) => digest_of(&(whole, image)),
+    };
+    Ok(digest?.chars().take(16).collect())
 }
 
 /// The outline of a label as it is now.
@@ -222,10 +243,18 @@ fn outline_of(known: &PlacedLabel) -> Result<(&str, Outline), Fault> {
     Ok((&known.shape, outline))
 }
 
-/// The geometry of an outline, and the pose that it is tied to.
-fn held(shape: &str, outline: &Outline, state: &State) -> (Geometry, Option<Anchor>) {
+/// The geometry of an outline, and the pose that it is tied to: that of its image, where it has one.
+fn held(
+    shape: &str,
+    outline: &Outline,
+    image: Option<&ImageKey>,
+    state: &State,
+) -> (Geometry, Option<Anchor>) {
     let map_from_label = outline.map_from_label.to_array();
-    let anchor = state.holds.anchor(&Pose::from_array(map_from_label));
+    let anchor = match image {
+        Some(image) => state.seen_in(image, &outline.map_from_label),
+        None => state.holds.anchor(&Pose::from_array(map_from_label)),
+    };
     let geometry = Geometry {
         shape: shape.to_owned(),
         points: outline.points.clone(),
@@ -289,119 +318,4 @@ fn differs(known: &PlacedLabel, (shape, outline): &(&str, Outline), within_m: f6
 }
 
 #[cfg(test)]
-mod tests {
-    #![allow(clippy::unwrap_used)]
-    use evermap_algorithms::labels::shapes;
-    use evermap_schemas::Wkb;
-
-    use super::*;
-
-    const SPACE: [[f64; 3]; 4] = [
-        [5.0, 2.0, 0.0],
-        [0.0, 2.0, 0.0],
-        [0.0, 0.0, 0.0],
-        [5.0, 0.0, 0.0],
-    ];
-
-    /// A space of this name that begins there.
-    fn space(label: &str, x: f64) -> PlacedLabel {
-        PlacedLabel {
-            site: "lot".into(),
-            label: label.into(),
-            kind: "space".into(),
-            standing: "drawn".into(),
-            author: "ada".into(),
-            said: Stamp(1),
-            placed_by: "pose".into(),
-            anchor: None,
-            shape: "box".into(),
-            map_from_label: Pose {
-                x: x + 2.5,
-                y: 1.0,
-                ..Pose::IDENTITY
-            },
-            length_m: Some(5.0),
-            width_m: Some(2.0),
-            points: SPACE.map(|[along, y, z]| [x + along, y, z]).to_vec(),
-            geometry: Wkb::point([0.0; 3]),
-        }
-    }
-
-    /// A space that is drawn there, on a picture if its pixels have a size.
-    fn drawn(x: f64, within_m: Option<f64>) -> (Feature, (&'static str, Outline)) {
-        let corners = SPACE.map(|[along, y, z]| [x + along, y, z]);
-        let feature = Feature {
-            place: String::new(),
-            label: None,
-            within_m,
-            kind: None,
-            category: None,
-            standing: None,
-            geometry: None,
-            brush_px: None,
-        };
-        (feature, ("box", shapes::oriented_box(&corners).unwrap()))
-    }
-
-    #[test]
-    fn what_lies_on_a_label_is_that_label_and_what_lies_beside_it_is_new() {
-        let mut rejected = space("rejected", 20.0);
-        rejected.standing = "rejected".into();
-        let labels = [space("one", 0.0), space("two", 10.0), rejected];
-        let labels: BTreeMap<String, PlacedLabel> = labels
-            .into_iter()
-            .map(|label| (label.label.clone(), label))
-            .collect();
-        let (space, other) = ("space".to_owned(), "crossing".to_owned());
-        let found = |x: f64, within_m, kind| {
-            let (feature, outline) = drawn(x, within_m);
-            let found = label_of(&feature, Some(&outline), kind, &labels).unwrap();
-            let found = found.unwrap();
-            labels.contains_key(&found).then_some(found)
-        };
-        let two = Some("two".to_owned());
-        let pixels = Some(0.025);
-        assert_eq!(found(10.02, pixels, Some(&space)), two);
-        assert_eq!(found(10.02, pixels, None), two);
-        assert_eq!(found(10.0005, None, Some(&space)), two);
-        // Pixels are coarse, metres are not.
-        assert_eq!(found(10.02, None, Some(&space)), None);
-        assert_eq!(found(10.03, pixels, Some(&space)), None);
-        assert_eq!(found(10.0, pixels, Some(&other)), None);
-        assert_eq!(found(20.0, pixels, Some(&space)), None);
-    }
-
-    #[test]
-    fn a_name_of_another_program_counts_where_there_is_such_a_label() {
-        let labels = BTreeMap::from([("one".to_owned(), space("one", 0.0))]);
-        let found = |name: &str, within_m| {
-            let (mut feature, outline) = drawn(10.0, within_m);
-            feature.label = Some(name.to_owned());
-            let found = label_of(&feature, Some(&outline), None, &labels);
-            found.unwrap().unwrap()
-        };
-        assert_eq!(found("one", Some(0.025)), "one");
-        assert_ne!(found("two", Some(0.025)), "two");
-        assert_eq!(found("two", None), "two");
-    }
-
-    /// As its act is to have it: points about its own frame.
-    #[test]
-    fn the_outline_of_a_label_is_about_its_own_frame() {
-        let turned = pose::Pose::from_yaw(7.0, 3.0, 0.6);
-        let corners = [
-            [2.5, 1.0, 0.0],
-            [-2.5, 1.0, 0.0],
-            [-2.5, -1.0, 0.0],
-            [2.5, -1.0, 0.0],
-        ];
-        let mut label = space("one", 0.0);
-        label.map_from_label = Pose::from_array(turned.to_array());
-        let in_map =
-            |point: [f64; 3]| -> [f64; 3] { turned.transform(&Vector3::from(point)).into() };
-        label.points = corners.map(in_map).to_vec();
-        let found = outline_of(&label).unwrap();
-        assert!(found.0 == "box" && shapes::is_box(&found.1.points));
-        assert!(!differs(&label, &found, 1e-9));
-    }
-}
+mod tests;

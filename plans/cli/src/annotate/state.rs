@@ -4,15 +4,17 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::PathBuf;
 
 use datafusion::prelude::SessionContext;
+use evermap_algorithms::geometry::pose::Pose;
 use evermap_algorithms::labels::anchors::AnchorParams;
 use evermap_catalog::OfVehicle;
 use evermap_catalog::annotated::{Holds, MapRows, Placer, PlacingParams, anchored};
 use evermap_catalog::labels::label_anchors::Obstacle;
+use evermap_catalog::painted::ImageKey;
 use evermap_contract::Reason;
 use evermap_datasets::{Dataset, Manifest};
 use evermap_language::nearest;
 use evermap_schemas::layers::{LabelAnchor, MapFrame, PlacedLabel, VehiclePose};
-use evermap_schemas::roles::{Annotation, Calibration, ImageAnnotation, Transform};
+use evermap_schemas::roles::{Anchor, Annotation, Calibration, ImageAnnotation, Transform};
 use evermap_schemas::{Fault, LayerRow};
 
 use super::Losses;
@@ -118,6 +120,24 @@ impl State {
         }
     }
 
+    /// Where the vehicle stood when an image was taken; `None` where the map does not say.
+    pub fn map_from_vehicle(&self, (session, stamp, _): &ImageKey) -> Option<Pose> {
+        self.placer.map_from_vehicle(session, *stamp)
+    }
+
+    /// What ties a label to the image that shows it; `None` where the map does not say where that was taken.
+    pub fn seen_in(&self, image: &ImageKey, map_from_label: &Pose) -> Option<Anchor> {
+        let vehicle_from_map = self.map_from_vehicle(image)?.inverse();
+        let vehicle_from_label = vehicle_from_map.compose(map_from_label);
+        let (session, stamp, camera) = image.clone();
+        Some(Anchor {
+            session,
+            stamp,
+            camera: Some(camera),
+            vehicle_from_label: evermap_schemas::Pose::from_array(vehicle_from_label.to_array()),
+        })
+    }
+
     /// Takes in what was said meanwhile.
     pub fn add(&mut self, acts: Vec<Annotation>, losses: &mut Losses) {
         self.acts.extend(acts);
@@ -127,6 +147,12 @@ impl State {
         let placed = labels.filter_map(|label| self.placer.placed(label, &mut tell));
         self.labels = placed.map(|label| (label.label.clone(), label)).collect();
     }
+}
+
+/// The image that a label is tied to; `None` where it is tied to no camera's.
+pub fn image_of(label: &PlacedLabel) -> Option<ImageKey> {
+    let anchor = label.anchor.as_ref()?;
+    Some((anchor.session.clone(), anchor.stamp, anchor.camera.clone()?))
 }
 
 /// Why there can be no labels.

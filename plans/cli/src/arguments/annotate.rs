@@ -22,12 +22,22 @@ pub struct AnnotateArgs {
     /// are left out. With --export, only these.
     #[arg(long, value_name = "WORD", value_parser = said)]
     pub kind: Option<String>,
-    /// Labels to say: GeoJSON in the map's metres; or annotations of a mosaic by COCO, CVAT, Label Studio or YOLO.
+    /// Labels to say: GeoJSON in the map's metres; annotations of a mosaic by COCO, CVAT, Label Studio or YOLO; or boxes around
+    /// people in camera images by COCO, CVAT or Label Studio.
     #[arg(long, value_name = "FILE", requires = "out")]
     pub import: Option<PathBuf>,
     /// The mosaic that annotations in pixels are of, as `evermap export --format png` wrote it with its world file beside it.
     #[arg(long, value_name = "PNG")]
     pub mosaic: Option<PathBuf>,
+    /// The folder of camera images that boxes are drawn on, as `evermap export person_questions --format coco` wrote it. A box
+    /// that is left says that it is a person, one that is gone that it is none, a new one that somebody was missed.
+    #[arg(
+        long,
+        value_name = "DIR",
+        requires = "import",
+        conflicts_with = "mosaic"
+    )]
+    pub images: Option<PathBuf>,
     /// Who says so [default: the user's name].
     #[arg(long, value_name = "NAME", value_parser = said)]
     pub author: Option<String>,

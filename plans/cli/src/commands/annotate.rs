@@ -7,12 +7,13 @@ use evermap_datasets::annotations::{Annotation, parts};
 use evermap_engine::map::version::Version;
 use evermap_schemas::layers::{BoxHypothesis, PlacedLabel};
 use evermap_schemas::{Fault, LayerRow, batch};
+use serde_json::Value;
 
-use crate::annotate::features::read;
+use crate::annotate::features::{Feature, read};
 use crate::annotate::mosaic::Picture;
 use crate::annotate::saying::{Speaker, said};
 use crate::annotate::state::State;
-use crate::annotate::{Losses, begin, taking_in, unwritten, user};
+use crate::annotate::{Losses, begin, people, taking_in, unwritten, user};
 use crate::arguments::AnnotateArgs;
 use crate::earth::Earth;
 use crate::ending::{Ending, Failure, Lost};
@@ -39,7 +40,14 @@ pub async fn annotate(args: &AnnotateArgs) -> Ending {
     }
     match (&args.import, &args.out, &args.export) {
         (Some(file), Some(log), _) => {
-            import(args, file, log, (&state, &reader.map.version), &mut losses)?;
+            let features = features(args, file, (&state, &reader), &mut losses).await?;
+            import(
+                args,
+                &features,
+                log,
+                (&state, &reader.map.version),
+                &mut losses,
+            )?;
         }
         (_, _, Some(file)) => export(args, file, (state, &reader), &mut losses).await?,
         _ => {}
@@ -48,22 +56,36 @@ pub async fn annotate(args: &AnnotateArgs) -> Ending {
     Ok(Lost(losses.counts))
 }
 
-fn import(
+/// What a file has drawn: in the map, on a mosaic, or on camera images.
+async fn features(
     args: &AnnotateArgs,
     file: &Path,
+    (state, reader): (&State, &MapReader),
+    losses: &mut Losses,
+) -> Result<Vec<Feature>, Fault> {
+    let Some(folder) = &args.images else {
+        let mosaic = args.mosaic.as_deref().map(Picture::read).transpose()?;
+        return read(file, mosaic.as_ref(), losses);
+    };
+    let plane_m = reader.map.parameter("plane_m", &state.site).await?;
+    let plane_m = plane_m.as_ref().and_then(Value::as_f64).unwrap_or(0.0);
+    people::read(file, folder, (state, plane_m), losses)
+}
+
+fn import(
+    args: &AnnotateArgs,
+    features: &[Feature],
     log: &Path,
     (state, version): (&State, &Version),
     losses: &mut Losses,
 ) -> Result<(), Failure> {
-    let mosaic = args.mosaic.as_deref().map(Picture::read).transpose()?;
-    let features = read(file, mosaic.as_ref(), losses)?;
     let now = chrono::Utc::now().timestamp_nanos_opt();
     let speaker = Speaker {
         author: args.author.clone().unwrap_or_else(user),
         stamp_ns: now.map_or(0, |now| now.max(0) as u64),
         kind: args.kind.clone(),
     };
-    let said = said(&features, state, &speaker, losses)?;
+    let said = said(features, state, &speaker, losses)?;
     let unchanged = match said.unchanged {
         0 => String::new(),
         count => format!(", {count} as they were"),

@@ -9,6 +9,7 @@ mod ground;
 mod lanelet2;
 mod nav2;
 mod nav2_route;
+mod person_images;
 mod ply;
 mod tum;
 
@@ -50,6 +51,9 @@ pub enum ExportFormat {
     G2o,
     /// COLMAP's text model, a folder: cameras, adjusted poses with their features, landmarks.
     Colmap,
+    /// Questions about people as a folder: the camera images, and the boxes that are asked about for programs that people
+    /// annotate with (coco.json, label_studio.json). `evermap annotate --images` reads what they answered.
+    Coco,
     /// The whole map, with its drives and their camera images, as a recording for Foxglove, Lichtblick and Rerun.
     Mcap,
     /// Overhead tiles as one picture with a world file beside it, and where on earth that is.
@@ -74,6 +78,9 @@ pub struct Selection {
     /// Zoom level of tiles; 0 is the finest [default: the finest that fits].
     #[arg(long, value_name = "Z")]
     pub zoom: Option<u32>,
+    /// Of questions, the first so many (coco).
+    #[arg(long, value_name = "N", default_value_t = 100)]
+    pub questions: u32,
     /// Geometries stay in the map's metres, wherever on earth it lies (geojson, parquet, png, geotiff).
     #[arg(long)]
     pub local: bool,
@@ -102,14 +109,22 @@ pub async fn export(args: &ExportArgs) -> Ending {
             let fault = Fault::user("expected the layer to export, found none");
             return Err(fault.next("evermap layers --map MAP lists them").into());
         }
+        (Some(layer), ExportFormat::Coco) => {
+            let lost = person_images::export(&reader, layer, &args.selection, &args.out).await;
+            return lost.map_err(|failure| of_layer(failure, layer));
+        }
         (Some(layer), _) => layer,
     };
     let written = written(&reader, layer, args).await;
-    written.map_err(|failure| match failure {
+    written.map_err(|failure| of_layer(failure, layer))?;
+    DONE
+}
+
+fn of_layer(failure: Failure, layer: &str) -> Failure {
+    match failure {
         Failure::Fault(fault) => Failure::Fault(fault.at(format!("layer {layer}"))),
         other => other,
-    })?;
-    DONE
+    }
 }
 
 async fn written(reader: &MapReader, layer: &str, args: &ExportArgs) -> Result<(), Failure> {
@@ -150,7 +165,9 @@ async fn written(reader: &MapReader, layer: &str, args: &ExportArgs) -> Result<(
             write_file(out, graph.as_bytes())
         }
         ExportFormat::Colmap => colmap::export(reader, &batches, site, out).await,
-        ExportFormat::Mcap => Err(Fault::bug("a layer cannot be exported as a recording").into()),
+        ExportFormat::Coco | ExportFormat::Mcap => {
+            Err(Fault::bug("a layer cannot be exported as a file of its own").into())
+        }
         ExportFormat::Png => {
             let (picture, site) = ground::picture(&batches, selection.zoom)?;
             write_file(out, &picture.png()?)?;

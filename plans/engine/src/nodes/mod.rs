@@ -7,7 +7,7 @@ pub mod paused;
 pub mod pixels;
 pub mod planned;
 pub mod python;
-mod raw;
+pub mod raw;
 mod spared;
 #[cfg(test)]
 mod tests;

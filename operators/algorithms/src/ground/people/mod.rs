@@ -4,6 +4,7 @@
 //! |---|---|
 //! | [`upright`] | images as they would be if every person in them stood upright and had one size |
 //! | [`search`] | where a detector of windows finds people, one place for each |
+//! | [`boxed`] | where somebody stands around whom a box is drawn |
 //! | [`placing`] | how exactly a person is placed, on the ground and in the map |
 //! | [`teaching`] | what answers of people teach about who is found, and what to ask |
 //!
@@ -15,6 +16,7 @@
 //! Source: *Integrating metric and semantic maps for vision-only automated parking*, section VI-B, where windows of the raw
 //! image are described; Dalal & Triggs, *Histograms of oriented gradients for human detection* (2005).
 
+pub mod boxed;
 pub mod placing;
 pub mod search;
 pub mod teaching;

@@ -19,7 +19,7 @@ const GROWS: f64 = 1.3;
 /// Windows that share more than this of their area show one person, before and after they are moved.
 const SAME: [f64; 2] = [0.3, 0.4];
 /// Width of a person over height.
-const SLENDER: f64 = 0.4;
+pub(super) const SLENDER: f64 = 0.4;
 /// Who is said to be nearer to the camera than this (m), or farther than this times what is looked for, is not looked at.
 const NEAREST_M: f64 = 0.5;
 const FARTHEST: f64 = 2.0;

@@ -3,8 +3,8 @@
 use nalgebra::{Rotation3, UnitQuaternion, Vector3};
 
 use super::search::{people, person_at, probability};
-use super::upright::{Picture, Upright, WINDOW};
-use super::{PeopleParams, WindowDetector, placing};
+use super::upright::{Picture, Stance, Upright, WINDOW};
+use super::{PeopleParams, WindowDetector, boxed, placing};
 use crate::geometry::camera::Camera;
 use crate::geometry::pose::Pose;
 use crate::ground::projection::GrayView;
@@ -199,4 +199,60 @@ fn covariances_turn_with_the_vehicle_and_grow_by_its_pose() {
     // 10 m ahead, a heading of 0.01 rad is 0.1 m to the side; the vehicle drives along y.
     let found = placing::in_map([0.04, 0.0, 0.01], [10.0, 0.0], quarter, [0.1, 0.01]);
     assert!(close(found, [0.03, 0.0, 0.05]));
+}
+
+/// Where somebody stands is told by a box around them, drawn exactly or by hand, wherever the lens bends them.
+#[test]
+fn who_is_boxed_stands_where_their_box_would_be() {
+    let (camera, pose) = mounted();
+    let params = PeopleParams::default();
+    let upright = Upright::unrolled(camera.clone(), &pose, &params).unwrap();
+    let places = [
+        [1.5, 4.0],
+        [-2.0, 3.0],
+        [3.0, 2.5],
+        [1.0, 8.0],
+        [5.0, 6.0],
+        [-4.0, 2.5],
+        [1.0, 2.6],
+    ];
+    for place in places {
+        let [azimuth, range_m] = upright.sight(place);
+        let stance = Stance {
+            azimuth,
+            range_m,
+            foot_m: 0.0,
+            height_m: params.height_m,
+        };
+        let exact = upright.rectangle(&stance, 0.4 * params.height_m).unwrap();
+        let off_m = |drawn: [f64; 4]| {
+            let [x, y] = boxed::standing(&camera, &pose, &drawn, &params).unwrap();
+            (x - place[0]).hypot(y - place[1])
+        };
+        assert!(off_m(exact) < 0.1, "{place:?}: {}", off_m(exact));
+        let [left, top, right, bottom] = exact;
+        let wide = [left - 3.0, top - 3.0, right + 3.0, bottom + 3.0];
+        let allowed = if range_m < 5.5 { 0.6 } else { 2.0 };
+        assert!(off_m(wide) < allowed, "{place:?}: {}", off_m(wide));
+    }
+    // In the sky, in a corner that the lens does not show, and at the vehicle's feet nobody stands.
+    for nobody in [
+        [190.0, 2.0, 200.0, 20.0],
+        [10.0, 10.0, 20.0, 20.0],
+        [150.0, 250.0, 250.0, 299.0],
+        [0.0, 0.0, 0.0, 0.0],
+        [f64::NAN; 4],
+    ] {
+        assert_eq!(boxed::standing(&camera, &pose, &nobody, &params), None);
+    }
+}
+
+#[test]
+fn what_boxes_share_is_a_part_of_what_they_cover() {
+    let one = [0.0, 0.0, 2.0, 2.0];
+    assert_eq!(boxed::overlap(&one, &one), 1.0);
+    assert_eq!(boxed::overlap(&one, &[1.0, 0.0, 3.0, 2.0]), 1.0 / 3.0);
+    assert_eq!(boxed::overlap(&one, &[2.0, 0.0, 3.0, 2.0]), 0.0);
+    assert_eq!(boxed::overlap(&one, &[5.0, 5.0, 6.0, 6.0]), 0.0);
+    assert_eq!(boxed::overlap(&[1.0; 4], &[1.0; 4]), 0.0);
 }

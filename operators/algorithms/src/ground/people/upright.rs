@@ -70,14 +70,7 @@ struct Strip {
 impl Upright {
     /// `vehicle_from_camera` is the optical frame's pose on the vehicle. `None` where the camera is not above the ground.
     pub fn new(camera: Camera, vehicle_from_camera: &Pose, params: &PeopleParams) -> Option<Self> {
-        let mut plane_from_camera = *vehicle_from_camera;
-        plane_from_camera.translation.z -= params.plane_m;
-        let mut upright = Self {
-            eye: plane_from_camera.translation,
-            camera_from_plane: plane_from_camera.inverse(),
-            camera,
-            strips: Vec::new(),
-        };
+        let mut upright = Self::unrolled(camera, vehicle_from_camera, params)?;
         let steps = (params.farthest_m / params.nearest_m).ln() / STEP.ln();
         let ranges: Vec<f64> = (0..=steps.max(0.0).ceil() as i32)
             .map(|step| params.nearest_m * STEP.powi(step))
@@ -85,6 +78,23 @@ impl Upright {
         let strip = |range_m: f64| upright.strip(range_m, PERSON_PX / params.height_m);
         let strips = ranges.into_par_iter().filter_map(strip).collect();
         upright.strips = strips;
+        Some(upright)
+    }
+
+    /// As [`Upright::new`], without what images are looked at with.
+    pub(super) fn unrolled(
+        camera: Camera,
+        vehicle_from_camera: &Pose,
+        params: &PeopleParams,
+    ) -> Option<Self> {
+        let mut plane_from_camera = *vehicle_from_camera;
+        plane_from_camera.translation.z -= params.plane_m;
+        let upright = Self {
+            eye: plane_from_camera.translation,
+            camera_from_plane: plane_from_camera.inverse(),
+            camera,
+            strips: Vec::new(),
+        };
         (upright.eye.z > LOWEST_M).then_some(upright)
     }
 

@@ -3,14 +3,14 @@
 use std::collections::BTreeMap;
 
 use evermap_algorithms::geometry::pose::Pose;
-use evermap_algorithms::geometry::rig::Rig;
+use evermap_algorithms::geometry::rig::{Rig, RigCamera};
 use evermap_algorithms::labels::anchors::{AnchorParams, Obstacles, Stations};
 use evermap_schemas::Stamp;
 use evermap_schemas::layers::{MapFrame, VehiclePose};
 use evermap_schemas::roles::{Anchor, Calibration, Transform};
 
 use crate::inputs::frames::Frames;
-use crate::inputs::rig::{OfVehicle, rigs};
+use crate::inputs::rig::{OfVehicle, frame, rigs};
 
 /// The rows of one site's map that can hold labels.
 #[derive(Debug, Clone, Default)]
@@ -83,6 +83,12 @@ impl Holds {
         let away = |pose: &&Pose| (pose.translation.x - x).hypot(pose.translation.y - y);
         let nearest = self.poses.iter().min_by(|a, b| away(a).total_cmp(&away(b)));
         nearest.map_or(0.0, |pose| pose.translation.z)
+    }
+
+    /// A camera of a session; `None` where it is not known how it sees, or where it is mounted.
+    pub fn camera(&self, session: &str, name: &str) -> Option<&RigCamera> {
+        let rig = self.rigs.get(session)?;
+        rig.cameras.get(rig.index(frame(name))?)
     }
 
     /// The vehicle pose to tie a label to; `None` where none is within reach.

@@ -120,15 +120,20 @@ impl Placer {
         })
     }
 
-    fn by_pose(&self, anchor: &Anchor) -> Option<Pose> {
-        let of_session = self.poses.get(&anchor.session)?;
-        let before = of_session.range(..=anchor.stamp).next_back()?;
-        let after = of_session.range(anchor.stamp..).next()?;
+    /// Where the vehicle of a session stood at an instant; `None` where the map does not say, or poses are too far apart.
+    pub fn map_from_vehicle(&self, session: &str, stamp: Stamp) -> Option<Pose> {
+        let of_session = self.poses.get(session)?;
+        let before = of_session.range(..=stamp).next_back()?;
+        let after = of_session.range(stamp..).next()?;
         let apart_m = (before.1.translation - after.1.translation).norm();
         let between = (before.0.0, before.1);
-        let pose = Pose::at_stamp(anchor.stamp.0, between, (after.0.0, after.1));
-        let vehicle_from_label = rigid(&anchor.vehicle_from_label)?;
-        (apart_m <= self.gap_m).then(|| pose.compose(&vehicle_from_label))
+        let pose = Pose::at_stamp(stamp.0, between, (after.0.0, after.1));
+        (apart_m <= self.gap_m).then_some(pose)
+    }
+
+    fn by_pose(&self, anchor: &Anchor) -> Option<Pose> {
+        let pose = self.map_from_vehicle(&anchor.session, anchor.stamp)?;
+        Some(pose.compose(&rigid(&anchor.vehicle_from_label)?))
     }
 
     fn by_frame(&self, row: &LabelAnchor) -> Option<Pose> {

@@ -3,39 +3,45 @@
 use evermap_schemas::Fault;
 use serde_json::{Value, json};
 
-use super::described::{Described, OF_ANOTHER, which_are};
-use super::{Drawn, NAME, Pixel, Rectangle, Shape, both, kinds, numbers};
+use super::described::{Canvas, Described, OF_ANOTHER, which_are};
+use super::{Drawn, NAME, Pixel, Rectangle, Said, Shape, both, kinds, numbers};
 use crate::annotate::Losses;
 use crate::annotate::geojson::text;
 use crate::annotate::mosaic::Picture;
 
-/// The annotations of the mosaic: segmentations of one outline, else boxes, turned by `attributes.rotation` (degrees,
+/// The annotations of pictures: segmentations of one outline, else boxes, turned by `attributes.rotation` (degrees,
 /// clockwise, about their centre) as CVAT writes them.
 ///
 /// # Errors
 /// A user fault for annotations of other pictures alone.
-pub(super) fn read(
-    value: &Value,
-    mosaic: &Picture,
-    losses: &mut Losses,
-) -> Result<Vec<Drawn>, Fault> {
+pub(super) fn read(value: &Value, canvases: &[Canvas], losses: &mut Losses) -> Result<Said, Fault> {
     let list = |name: &str| value[name].as_array().map_or(&[][..], Vec::as_slice);
     let pictures = list("images");
     let described: Vec<Described> = pictures.iter().map(described).collect();
-    let chosen = which_are(mosaic, &described, losses)?;
-    let chosen = pictures.iter().zip(chosen).filter(|(_, is)| *is);
-    let chosen: Vec<&Value> = chosen.map(|(picture, _)| &picture["id"]).collect();
+    let chosen = which_are(canvases, &described, losses)?;
+    let chosen = pictures.iter().zip(chosen);
+    let chosen: Vec<(&Value, usize)> = chosen
+        .filter_map(|(picture, at)| Some((&picture["id"], at?)))
+        .collect();
+    // A file without pictures is of the only one that there is.
+    let picture_of = |id: &Value| match pictures {
+        [] => Some(0),
+        _ => chosen.iter().find(|(of, _)| *of == id).map(|(_, at)| *at),
+    };
     let category = |id: &Value| {
         let mut categories = list("categories").iter();
         text(&categories.find(|category| category["id"] == *id)?["name"])
     };
-    let mut found = Vec::new();
+    let mut said = Said {
+        drawn: Vec::new(),
+        seen: chosen.iter().map(|(_, at)| *at).collect(),
+    };
     for (number, annotation) in list("annotations").iter().enumerate() {
         let place = format!("annotation {number}");
-        if !pictures.is_empty() && !chosen.contains(&&annotation["image_id"]) {
+        let Some(at) = picture_of(&annotation["image_id"]) else {
             losses.note(OF_ANOTHER, &place);
             continue;
-        }
+        };
         match shape(annotation) {
             Some(shape) => {
                 if is_coarse(&annotation["segmentation"]) {
@@ -43,12 +49,13 @@ pub(super) fn read(
                 }
                 let kind = category(&annotation["category_id"]);
                 let name = text(&annotation["attributes"][NAME]);
-                found.push(Drawn::said(place, kind, shape).called(name));
+                let drawn = Drawn::said(place, kind, shape);
+                said.drawn.push(drawn.called(name).on(at));
             }
             None => losses.note("annotation that is neither box nor outline", &place),
         }
     }
-    Ok(found)
+    Ok(said)
 }
 
 /// What is told of an annotation whose outline is not taken.

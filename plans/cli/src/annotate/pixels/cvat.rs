@@ -5,16 +5,16 @@ use std::fmt::Write;
 use evermap_schemas::Fault;
 use roxmltree::{Document, Node};
 
-use super::described::{Described, OF_ANOTHER, which_are};
-use super::{Drawn, NAME, Pixel, Rectangle, Shape, both};
+use super::described::{Canvas, Described, OF_ANOTHER, which_are};
+use super::{Drawn, NAME, Pixel, Rectangle, Said, Shape, both};
 use crate::annotate::Losses;
 use crate::annotate::mosaic::Picture;
 
-/// The shapes on the mosaic: boxes, turned clockwise about their middle, polygons and polylines.
+/// The shapes on pictures: boxes, turned clockwise about their middle, polygons and polylines.
 ///
 /// # Errors
 /// A user fault for what is no XML, no annotations of images, or those of other pictures alone.
-pub(super) fn read(text: &str, mosaic: &Picture, losses: &mut Losses) -> Result<Vec<Drawn>, Fault> {
+pub(super) fn read(text: &str, canvases: &[Canvas], losses: &mut Losses) -> Result<Said, Fault> {
     let document = Document::parse(text)
         .map_err(|error| Fault::user(format!("expected XML of CVAT, found {error}")))?;
     let root = document.root_element();
@@ -33,20 +33,24 @@ pub(super) fn read(text: &str, mosaic: &Picture, losses: &mut Losses) -> Result<
     let pictures = root.children().filter(|node| node.has_tag_name("image"));
     let pictures: Vec<Node<'_, '_>> = pictures.collect();
     let described: Vec<Described> = pictures.iter().map(described).collect();
-    let chosen = which_are(mosaic, &described, losses)?;
-    let mut found = Vec::new();
-    for (picture, is_mosaic) in pictures.iter().zip(chosen) {
+    let chosen = which_are(canvases, &described, losses)?;
+    let mut said = Said {
+        drawn: Vec::new(),
+        seen: chosen.iter().flatten().copied().collect(),
+    };
+    for (picture, at) in pictures.iter().zip(chosen) {
         let shapes = picture.children().filter(Node::is_element);
         for (number, node) in shapes.enumerate() {
             let place = format!("{} {number}", node.tag_name().name());
-            if !is_mosaic {
+            let Some(at) = at else {
                 losses.note(OF_ANOTHER, &place);
                 continue;
-            }
+            };
             match shape(node) {
                 Some(shape) => {
                     let kind = node.attribute("label").map(str::to_owned);
-                    found.push(Drawn::said(place, kind, shape).called(name(node)));
+                    let drawn = Drawn::said(place, kind, shape);
+                    said.drawn.push(drawn.called(name(node)).on(at));
                 }
                 None => losses.note(
                     "annotation that is neither box nor outline nor line",
@@ -55,7 +59,7 @@ pub(super) fn read(text: &str, mosaic: &Picture, losses: &mut Losses) -> Result<
             }
         }
     }
-    Ok(found)
+    Ok(said)
 }
 
 /// The name of a label, if a shape has one among its attributes.

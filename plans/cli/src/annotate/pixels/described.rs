@@ -1,12 +1,20 @@
-//! The pictures that a file has annotations of, and which of them the mosaic is.
+//! The pictures that a file has annotations of, and which of them are those that are looked for.
 
 use evermap_schemas::Fault;
 
 use crate::annotate::Losses;
-use crate::annotate::mosaic::Picture;
 
 /// Why an annotation is left out.
 pub(super) const OF_ANOTHER: &str = "annotation of another picture";
+
+/// A picture that annotations may be of.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Canvas {
+    /// The name of its file.
+    pub name: String,
+    /// Width and height, px.
+    pub size: [u32; 2],
+}
 
 /// A picture as a file describes it.
 #[derive(Debug, Clone, PartialEq)]
@@ -17,46 +25,54 @@ pub(super) struct Described {
     pub(super) size: Option<[f64; 2]>,
 }
 
-/// For each picture of a file whether it is the mosaic: by its name, or since the file has no other one. Another name is told.
+/// For each picture of a file which of these it is, by its name; where there is one alone, and the file has no other picture,
+/// that one, and another name is told. `None` for others.
 ///
 /// # Errors
-/// A user fault where no picture is the mosaic, or what is to be it has another size.
+/// A user fault where no picture is one of these, or what is to be one has another size.
 pub(super) fn which_are(
-    mosaic: &Picture,
+    canvases: &[Canvas],
     described: &[Described],
     losses: &mut Losses,
-) -> Result<Vec<bool>, Fault> {
-    let is_called = |one: &Described| {
-        let name = one.name.as_deref();
-        name.is_some_and(|name| is_file(name, &mosaic.name))
+) -> Result<Vec<Option<usize>>, Fault> {
+    let called = |one: &Described| {
+        let name = one.name.as_deref()?;
+        canvases
+            .iter()
+            .position(|canvas| is_file(name, &canvas.name))
     };
-    let called: Vec<bool> = described.iter().map(is_called).collect();
-    let is_found = called.contains(&true);
-    if !is_found && described.windows(2).any(|two| two[0].name != two[1].name) {
-        return Err(none_of(mosaic, described));
+    let mut chosen: Vec<Option<usize>> = described.iter().map(called).collect();
+    if chosen.iter().all(Option::is_none) {
+        let is_only = described.windows(2).all(|two| two[0].name == two[1].name);
+        let [canvas] = canvases else {
+            return Err(none_of(canvases, described));
+        };
+        if !is_only {
+            return Err(none_of(canvases, described));
+        }
+        chosen.fill(Some(0));
+        if let Some(Some(name)) = described.first().map(|one| one.name.as_deref()) {
+            losses.remark(&format!(
+                "note: annotations of {name} are taken for those of {}",
+                canvas.name
+            ));
+        }
     }
-    let chosen: Vec<bool> = called.iter().map(|called| *called || !is_found).collect();
-    for (one, _) in described.iter().zip(&chosen).filter(|(_, is)| **is) {
-        one.fits(mosaic)?;
-    }
-    if let Some(Some(name)) = described.first().map(|one| one.name.as_deref())
-        && !is_found
-    {
-        losses.remark(&format!(
-            "note: annotations of {name} are taken for those of {}",
-            mosaic.name
-        ));
+    for (one, at) in described.iter().zip(&chosen) {
+        if let Some(canvas) = at.and_then(|at| canvases.get(at)) {
+            one.fits(canvas)?;
+        }
     }
     Ok(chosen)
 }
 
 impl Described {
-    /// Holds its size to that of the mosaic.
+    /// Holds its size to that of a picture.
     ///
     /// # Errors
     /// A user fault for another one.
-    fn fits(&self, mosaic: &Picture) -> Result<(), Fault> {
-        let expected = mosaic.size;
+    fn fits(&self, canvas: &Canvas) -> Result<(), Fault> {
+        let expected = canvas.size;
         let Some([width, height]) = self.size.filter(|size| *size != expected.map(f64::from))
         else {
             return Ok(());
@@ -74,16 +90,19 @@ impl Described {
 }
 
 /// What to do about another picture.
-const AS_DRAWN: &str = "name with --mosaic the very picture that was drawn on";
+const AS_DRAWN: &str = "name with --mosaic, or --images, what was drawn on";
 
-fn none_of(mosaic: &Picture, described: &[Described]) -> Fault {
+fn none_of(canvases: &[Canvas], described: &[Described]) -> Fault {
     let names = described.iter().filter_map(|one| one.name.as_deref());
-    Fault::user(format!(
-        "expected annotations of {}, found those of {}",
-        mosaic.name,
-        evermap_language::listed(names)
-    ))
-    .next(AS_DRAWN)
+    let found = evermap_language::listed(names);
+    let text = match canvases {
+        [one] => format!(
+            "expected annotations of {}, found those of {found}",
+            one.name
+        ),
+        _ => format!("expected annotations of the images of the folder, found those of {found}"),
+    };
+    Fault::user(text).next(AS_DRAWN)
 }
 
 /// Whether a path or an address is that of a file of this name. Label Studio puts eight hexadecimal digits and a dash before

@@ -3,22 +3,18 @@
 use evermap_schemas::Fault;
 use serde_json::{Value, json};
 
-use super::described::{Described, OF_ANOTHER, is_file, which_are};
-use super::{Drawn, NAME, Rectangle, Shape, both, numbers};
+use super::described::{Canvas, Described, OF_ANOTHER, is_file, which_are};
+use super::{Drawn, NAME, Rectangle, Said, Shape, both, numbers};
 use crate::annotate::Losses;
 use crate::annotate::geojson::text;
 use crate::annotate::mosaic::Picture;
 
-/// The results of the mosaic's tasks: rectangles, turned about their upper left corner, and polygons, in percent of the
-/// picture. Predictions are not read: nobody said them.
+/// The results of the tasks of pictures: rectangles, turned about their upper left corner, and polygons, in percent of the
+/// picture. Predictions are not read: nobody said them; a task with nothing else was not looked at.
 ///
 /// # Errors
 /// A user fault for JSON of another form, or results of other pictures alone.
-pub(super) fn read(
-    tasks: &Value,
-    mosaic: &Picture,
-    losses: &mut Losses,
-) -> Result<Vec<Drawn>, Fault> {
+pub(super) fn read(tasks: &Value, canvases: &[Canvas], losses: &mut Losses) -> Result<Said, Fault> {
     let tasks = tasks.as_array().map_or(&[][..], Vec::as_slice);
     if !tasks.iter().all(is_task) {
         return Err(Fault::user(
@@ -26,25 +22,30 @@ pub(super) fn read(
         )
         .next("export from Label Studio as `JSON`, not as `JSON-MIN`"));
     }
-    let described: Vec<Described> = tasks.iter().map(|task| described(task, mosaic)).collect();
-    let chosen = which_are(mosaic, &described, losses)?;
-    let mut found = Vec::new();
-    for (task, (value, is_mosaic)) in tasks.iter().zip(chosen).enumerate() {
+    let described = tasks.iter().map(|task| described(task, canvases));
+    let described: Vec<Described> = described.collect();
+    let chosen = which_are(canvases, &described, losses)?;
+    let mut said = Said::default();
+    for (task, (value, at)) in tasks.iter().zip(chosen).enumerate() {
+        if annotations(value).next().is_some() {
+            said.seen.extend(at);
+        }
         for (number, result) in results(value).enumerate() {
             let place = format!("task {task}, result {number}");
-            if !is_mosaic {
+            let Some((at, canvas)) = at.and_then(|at| Some((at, canvases.get(at)?))) else {
                 losses.note(OF_ANOTHER, &place);
                 continue;
-            }
-            match shape(result, mosaic.size) {
+            };
+            match shape(result, canvas.size) {
                 Some((kind, shape)) => {
-                    found.push(Drawn::said(place, kind, shape).called(name(&result["id"])));
+                    let drawn = Drawn::said(place, kind, shape);
+                    said.drawn.push(drawn.called(name(&result["id"])).on(at));
                 }
                 None => losses.note("annotation that is neither box nor outline", &place),
             }
         }
     }
-    Ok(found)
+    Ok(said)
 }
 
 /// The name of a label, if the id of a result has one.
@@ -53,25 +54,29 @@ fn name(id: &Value) -> Option<String> {
     Some(name.to_owned())
 }
 
-/// What people said of a task's picture.
-fn results(task: &Value) -> impl Iterator<Item = &Value> {
+/// What people said of a task's picture, each time that somebody looked at it and did not give up.
+fn annotations(task: &Value) -> impl Iterator<Item = &Value> {
     let annotations = ["annotations", "completions"].map(|name| &task[name]);
     let annotations = annotations
         .into_iter()
         .filter_map(Value::as_array)
         .flatten();
-    let held = annotations.filter(|annotation| annotation["was_cancelled"] != true);
-    let results = held.filter_map(|annotation| annotation["result"].as_array());
+    annotations.filter(|annotation| annotation["was_cancelled"] != true)
+}
+
+/// What they have drawn on it.
+fn results(task: &Value) -> impl Iterator<Item = &Value> {
+    let results = annotations(task).filter_map(|annotation| annotation["result"].as_array());
     results.flatten()
 }
 
 /// The picture of a task, under whatever word the project has it, with the size that a result says.
-fn described(task: &Value, mosaic: &Picture) -> Described {
+fn described(task: &Value, canvases: &[Canvas]) -> Described {
     let data = &task["data"];
     let texts = data.as_object().into_iter().flat_map(|data| data.values());
     let texts: Vec<&str> = texts.filter_map(Value::as_str).collect();
-    let is_mosaic = |text: &&str| is_file(text, &mosaic.name);
-    let name = texts.iter().copied().find(is_mosaic);
+    let is_one = |text: &&str| canvases.iter().any(|canvas| is_file(text, &canvas.name));
+    let name = texts.iter().copied().find(is_one);
     let name = name.or(data["image"].as_str());
     let size = |result: &Value| {
         both(["original_width", "original_height"].map(|name| result[name].as_f64()))

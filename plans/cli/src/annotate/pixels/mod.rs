@@ -1,4 +1,4 @@
-//! Boxes and outlines drawn on a mosaic with programs that know pixels, read and written.
+//! Boxes and outlines drawn on a mosaic, or on camera images, with programs that know pixels, read and written.
 
 mod coco;
 mod cvat;
@@ -14,13 +14,15 @@ use evermap_schemas::Fault;
 use evermap_schemas::layers::{BoxHypothesis, PlacedLabel};
 use serde_json::Value;
 
+pub(super) use described::Canvas;
+
 use super::features::{Feature, Geometry};
 use super::mosaic::Picture;
 use super::{Losses, is_blank};
 use crate::scene::corners;
 
 /// A place in a picture, px from its upper left corner.
-type Pixel = [f64; 2];
+pub(super) type Pixel = [f64; 2];
 
 /// The word with which the name of a label goes through programs that keep such things.
 const NAME: &str = "evermap_label";
@@ -69,21 +71,73 @@ impl Program {
         picture: &Picture,
         losses: &mut Losses,
     ) -> Result<Vec<Feature>, Fault> {
-        let json = || {
-            serde_json::from_str(text)
-                .map_err(|error| Fault::user(format!("expected JSON, found {error}")))
+        let canvas = Canvas {
+            name: picture.name.clone(),
+            size: picture.size,
         };
-        let mut drawn = match self {
-            Self::Coco => coco::read(&json()?, picture, losses)?,
-            Self::Cvat => cvat::read(text, picture, losses)?,
-            Self::LabelStudio => label_studio::read(&json()?, picture, losses)?,
-            Self::YoloObb => yolo::read(text, &yolo::classes(path)?, picture.size, losses),
-        };
+        let mut drawn = self.said(path, text, &[canvas], losses)?.drawn;
         disown_copies(&mut drawn);
         Ok(drawn
             .into_iter()
             .map(|drawn| drawn.feature(picture))
             .collect())
+    }
+
+    /// The boxes around what is drawn on several pictures, and which of these somebody looked at; what makes no sense is noted
+    /// and left out.
+    ///
+    /// # Errors
+    /// As [`Program::read`], and for YOLO's boxes, which do not name their picture.
+    pub(super) fn boxes(
+        self,
+        path: &Path,
+        text: &str,
+        canvases: &[Canvas],
+        losses: &mut Losses,
+    ) -> Result<Boxes, Fault> {
+        if self == Self::YoloObb {
+            return Err(Fault::user(
+                "expected COCO, CVAT or Label Studio, found YOLO's boxes, which do not name their image",
+            ));
+        }
+        let Said { drawn, seen } = self.said(path, text, canvases, losses)?;
+        let boxes = drawn.into_iter().map(|drawn| PictureBox {
+            bounds: drawn.shape.bounds(),
+            place: drawn.place,
+            kind: drawn.kind,
+            picture: drawn.picture,
+        });
+        Ok(Boxes {
+            boxes: boxes.collect(),
+            seen,
+        })
+    }
+
+    fn said(
+        self,
+        path: &Path,
+        text: &str,
+        canvases: &[Canvas],
+        losses: &mut Losses,
+    ) -> Result<Said, Fault> {
+        let json = || {
+            serde_json::from_str(text)
+                .map_err(|error| Fault::user(format!("expected JSON, found {error}")))
+        };
+        match self {
+            Self::Coco => coco::read(&json()?, canvases, losses),
+            Self::Cvat => cvat::read(text, canvases, losses),
+            Self::LabelStudio => label_studio::read(&json()?, canvases, losses),
+            Self::YoloObb => {
+                let size = canvases.first().map(|canvas| canvas.size);
+                let size = size.unwrap_or_default();
+                let drawn = yolo::read(text, &yolo::classes(path)?, size, losses);
+                Ok(Said {
+                    drawn,
+                    seen: BTreeSet::from([0]),
+                })
+            }
+        }
     }
 
     /// What the file of a picture says of these labels and, where the program knows such, of what was proposed. What it
@@ -131,6 +185,35 @@ impl Program {
     }
 }
 
+/// What a file says of pictures.
+#[derive(Debug, Default)]
+struct Said {
+    drawn: Vec<Drawn>,
+    /// Those that somebody looked at, also where nothing is drawn on them.
+    seen: BTreeSet<usize>,
+}
+
+/// Boxes on several pictures.
+#[derive(Debug)]
+pub(super) struct Boxes {
+    pub(super) boxes: Vec<PictureBox>,
+    /// The pictures that somebody looked at, also where no box is on them.
+    pub(super) seen: BTreeSet<usize>,
+}
+
+/// The box around what is drawn on one of several pictures.
+#[derive(Debug)]
+pub(super) struct PictureBox {
+    /// Which one, for people.
+    pub(super) place: String,
+    /// What it marks, where it says so.
+    pub(super) kind: Option<String>,
+    /// The number of its picture.
+    pub(super) picture: usize,
+    /// Least and largest column and row.
+    pub(super) bounds: [Pixel; 2],
+}
+
 /// What is drawn on a picture.
 #[derive(Debug, Clone, PartialEq)]
 struct Drawn {
@@ -141,6 +224,8 @@ struct Drawn {
     /// What it marks, where it says so.
     kind: Option<String>,
     shape: Shape,
+    /// The number of its picture.
+    picture: usize,
     /// How likely it is, where it is only proposed.
     probability: Option<f64>,
 }
@@ -251,8 +336,14 @@ impl Drawn {
             name: None,
             kind: kind.filter(|kind| !is_blank(kind)),
             shape,
+            picture: 0,
             probability: None,
         }
+    }
+
+    /// Drawn on the picture of this number.
+    fn on(self, picture: usize) -> Self {
+        Self { picture, ..self }
     }
 
     /// With the name of the label that it is.
@@ -283,6 +374,7 @@ impl Drawn {
             name: None,
             kind: Some(found.kind.clone()),
             shape: Shape::Box(Rectangle::of(corners)),
+            picture: 0,
             probability: Some(found.probability),
         })
     }
@@ -310,6 +402,7 @@ impl Drawn {
                 _ => Geometry::Closed(points),
             }),
             brush_px: None,
+            image: None,
         }
     }
 }

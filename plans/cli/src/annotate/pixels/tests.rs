@@ -327,6 +327,74 @@ fn annotations_of_another_picture_are_not_laid_on_the_mosaic() {
     }
 }
 
+#[test]
+fn boxes_are_of_the_image_of_their_name_and_no_other() {
+    let canvas = |name: &str, size| Canvas {
+        name: name.into(),
+        size,
+    };
+    let known = [
+        canvas("0001_a.jpg", [400, 300]),
+        canvas("0002_a.jpg", [200, 100]),
+        canvas("0003_a.jpg", [400, 300]),
+    ];
+    let programs: [(Write, &str); 3] = [(coco, "a.json"), (cvat, "a.xml"), (studio, "a.json")];
+    for (write, name) in programs {
+        let read = |pictures: Pictures<'_>| {
+            let (text, path) = (write(pictures), Path::new(name));
+            let mut losses = Losses::default();
+            let program = Program::of(path, &text).unwrap();
+            let found = program.boxes(path, &text, &known, &mut losses);
+            found.map(|found| (found, losses))
+        };
+        let (found, losses) = read(&[
+            ("images/0003_a.jpg", [400, 300]),
+            ("other.jpg", [400, 300]),
+            ("3f2a1b4c-0002_a.jpg", [200, 100]),
+        ])
+        .unwrap();
+        let pictures: Vec<usize> = found.boxes.iter().map(|one| one.picture).collect();
+        assert_eq!(pictures, [2, 1], "{name}");
+        assert_eq!(found.seen, BTreeSet::from([1, 2]), "{name}");
+        let counts: Vec<_> = losses.counts.into_iter().collect();
+        assert_eq!(counts, [("annotation of another picture".to_owned(), 1)]);
+        // One that is called otherwise may be any of them.
+        let fault = read(&[("other.jpg", [400, 300])]).unwrap_err().to_string();
+        let told = "expected annotations of the images of the folder, found those of `other.jpg`";
+        assert!(fault.contains(told), "{name}: {fault}");
+        let fault = read(&[("0001_a.jpg", [200, 150])]).unwrap_err().to_string();
+        assert!(fault.contains("of one of 200 × 150 px"), "{name}: {fault}");
+    }
+    let yolo = Program::YoloObb.boxes(Path::new("a.txt"), "", &known, &mut Losses::default());
+    let fault = yolo.unwrap_err().to_string();
+    assert!(fault.contains("do not name their image"), "{fault}");
+}
+
+/// Who only opened a task of Label Studio, or gave it up, has said nothing of its image.
+#[test]
+fn an_image_was_looked_at_where_somebody_said_something_of_it_or_that_there_is_nothing() {
+    let canvases = ["a.png", "b.png", "c.png"].map(|name| Canvas {
+        name: name.into(),
+        size: [40, 30],
+    });
+    let task = |name: &str, annotations: Value| json!({ "data": { "image": name }, "predictions": [{ "result": [] }], "annotations": annotations });
+    let tasks = json!([
+        task("a.png", json!([])),
+        task("b.png", json!([{ "result": [] }])),
+        task("c.png", json!([{ "was_cancelled": true, "result": [] }])),
+    ]);
+    let mut losses = Losses::default();
+    let found = Program::LabelStudio.boxes(
+        Path::new("a.json"),
+        &tasks.to_string(),
+        &canvases,
+        &mut losses,
+    );
+    let found = found.unwrap();
+    assert_eq!((found.boxes.len(), found.seen), (0, BTreeSet::from([1])));
+    assert_eq!(losses, Losses::default());
+}
+
 /// Who copies a shape copies its name; which of them is the label, its place tells.
 #[test]
 fn shapes_that_share_a_name_have_none() {

@@ -5,19 +5,20 @@ use std::collections::BTreeMap;
 use axum::extract::{Path, Query, State};
 use axum::http::HeaderMap;
 use axum::response::Response;
-use bytes::Bytes;
-use datafusion::prelude::{Expr, col, lit};
+use datafusion::execution::memory_pool::MemoryConsumer;
+use datafusion::prelude::{col, lit};
 use evermap_catalog::painted::ImageKey;
-use evermap_datasets::ImageReader;
 use evermap_engine::error::OrFault;
-use evermap_schemas::layers::{Keyframe, OverheadTile};
-use evermap_schemas::{Fault, ImageRef, Stamp};
+use evermap_schemas::layers::OverheadTile;
+use evermap_schemas::{Fault, Stamp};
 use serde::Deserialize;
 
+use crate::camera_images::{file, rows};
+use crate::cutout::{self, PNG, Rectangle};
 use crate::reader::typed;
 use crate::serve::http::{App, Asks, MapOf, Refusal, tagged};
-use crate::serve::maps::{Opened, ServedMap};
-use crate::shown::{Picture, Tile};
+use crate::serve::maps::Opened;
+use crate::shown::Tile;
 
 /// `GET /tiles/{site}/{version}/{zoom}/{x}/{y}`: a tile as the layer has it.
 ///
@@ -42,11 +43,11 @@ pub async fn tile(
         .and(col("zoom").eq(lit(number::<u32>(&path, "zoom")?)))
         .and(col("tile_x").eq(lit(number::<i32>(&path, "x")?)))
         .and(col("tile_y").eq(lit(number::<i32>(&path, "y")?)));
-    let found = app.within(rows(&opened, &layer, wanted)).await?;
+    let found = app.within(rows(&opened.context, &layer, wanted)).await?;
     let tile = typed::<Tile>(&found)?.into_iter().next();
     let tile = tile.ok_or_else(|| Fault::user("there is no such tile"))?;
     let digest = blake3::hash(&tile.png.0).to_hex();
-    Ok(tagged(&headers, &digest, "image/png", tile.png.0))
+    Ok(tagged(&headers, &digest, PNG, tile.png.0))
 }
 
 /// A number of a path.
@@ -54,17 +55,6 @@ fn number<T: std::str::FromStr>(path: &BTreeMap<String, String>, name: &str) -> 
     let text = path.get(name).map_or("", String::as_str);
     text.parse()
         .map_err(|_| Fault::user(format!("expected a number as {name}, found {text:?}")))
-}
-
-/// The rows of a layer that something holds of.
-async fn rows(
-    opened: &Opened,
-    layer: &str,
-    wanted: Expr,
-) -> Result<Vec<arrow::array::RecordBatch>, Fault> {
-    let table = opened.context.table(layer).await.or_fault()?;
-    let found = table.filter(wanted).or_fault()?;
-    found.collect().await.or_fault()
 }
 
 /// Which image is asked for.
@@ -77,74 +67,53 @@ pub struct AskedImage {
     stamp: i64,
     #[serde(default)]
     version: Option<u64>,
+    /// The rectangle around which it is shown.
+    #[serde(default)]
+    around: Option<String>,
 }
 
-/// `GET /images?session=…&camera=…&stamp=…`: the image of a camera that the map names, out of its log.
+/// `GET /images?session=…&camera=…&stamp=…`: the image of a camera that the map names, out of its log: JPEG or PNG as it was
+/// recorded, else PNG. With `&around=LEAST_COLUMN,LEAST_ROW,LARGEST_COLUMN,LARGEST_ROW` the part around a rectangle, with the
+/// rectangle drawn, as PNG.
 ///
 /// # Errors
-/// As [`bytes`].
+/// As [`file`]; for what is no rectangle of the image, and where memory does not suffice to decode it.
 pub async fn image(
     State(app): State<App>,
     MapOf(map): MapOf,
     Asks(Query(asked)): Asks<Query<AskedImage>>,
     headers: HeaderMap,
 ) -> Result<Response, Refusal> {
+    let around = asked.around.as_deref().map(Rectangle::parse).transpose()?;
     let opened = map.version(asked.version).await?;
     let key = (asked.session, Stamp(asked.stamp), asked.camera);
-    let bytes = app.within(bytes(&opened, &map, &key)).await?;
-    let kind = match bytes.get(..4) {
-        Some([0xFF, 0xD8, ..]) => "image/jpeg",
-        Some(b"\x89PNG") => "image/png",
-        _ => {
-            let fault = Fault::data("the image is neither JPEG nor PNG");
-            return Err(fault.next("open the log itself").into());
-        }
-    };
+    let (kind, bytes) = app.within(shown(&app, &opened, &key, around)).await?;
     let digest = blake3::hash(&bytes).to_hex();
-    Ok(tagged(&headers, &digest, kind, bytes.to_vec()))
+    Ok(tagged(&headers, &digest, kind, bytes))
 }
 
-/// An image, out of its log.
-///
-/// # Errors
-/// For an image that neither pictures nor keyframes name, or a log that is gone.
-pub async fn bytes(opened: &Opened, map: &ServedMap, key: &ImageKey) -> Result<Bytes, Fault> {
-    let (session, ..) = key;
-    let log = opened.reader.map.log(session, map.runtime()).await?;
-    let log = log.ok_or_else(|| Fault::user(format!("the map has no session {session}")))?;
-    let image = reference(opened, key).await?;
-    let reader = ImageReader::new(&log, ImageReader::CACHE_BYTES);
-    let mut bytes = reader.resolve(&[image]).await?;
-    bytes
-        .pop()
-        .unwrap_or_else(|| Err(Fault::bug("an image was not answered")))
-}
-
-/// Where an image lies: as the layer of pictures has it, or a keyframe.
-async fn reference(
+/// What a browser is shown of an image, and what it is. The memory that decoding takes is reserved, and left with its end, also
+/// where nobody waits for it any more.
+async fn shown(
+    app: &App,
     opened: &Opened,
-    (session, stamp, camera): &ImageKey,
-) -> Result<ImageRef, Fault> {
-    let wanted = || col("session").eq(lit(session.as_str()));
-    if let Some(layer) = opened.reader.layer_of::<Picture>() {
-        let wanted = wanted().and(col("camera").eq(lit(camera.as_str())));
-        let pictures = typed::<Picture>(&rows(opened, &layer, wanted).await?)?;
-        let found = pictures.into_iter().find(|row| row.stamp == *stamp);
-        if let Some(found) = found {
-            return Ok(found.image);
-        }
+    key: &ImageKey,
+    around: Option<Rectangle>,
+) -> Result<(&'static str, Vec<u8>), Fault> {
+    let bytes = file(&opened.reader, &opened.context, key).await?;
+    if let (Some(kind), None) = (cutout::kind_of(&bytes), around) {
+        return Ok((kind, bytes.to_vec()));
     }
-    if let Some(layer) = opened.reader.layer_of::<Keyframe>() {
-        let keyframes = typed::<Keyframe>(&rows(opened, &layer, wanted()).await?)?;
-        let mut images = keyframes.into_iter().flat_map(|keyframe| keyframe.images);
-        let found = images.find(|image| image.camera == *camera && image.stamp == *stamp);
-        if let Some(found) = found {
-            return Ok(found.image);
-        }
-    }
-    Err(Fault::user(format!(
-        "the map has no image of {camera} in {session} at {} ns",
-        stamp.0
-    ))
-    .next("its pictures and the images of its keyframes are there: SELECT session, unnest(images) FROM keyframes"))
+    let memory = MemoryConsumer::new("an image that is decoded").register(&app.bounds.memory);
+    memory.try_grow(cutout::memory(&bytes)?).or_fault()?;
+    let work = tokio::task::spawn_blocking(move || {
+        let shown = match around {
+            Some(around) => cutout::part(&bytes, around),
+            None => cutout::whole(&bytes),
+        };
+        drop(memory);
+        shown
+    });
+    let shown = work.await.map_err(|error| Fault::bug(error.to_string()))?;
+    Ok((PNG, shown?))
 }

@@ -6,19 +6,21 @@ use std::sync::Arc;
 use axum::Extension;
 use axum::extract::rejection::JsonRejection;
 use axum::extract::{Json, Path, Query, State};
-use evermap_catalog::image_size;
 use evermap_catalog::painted::ImageKey;
+use evermap_catalog::{PERSON, image_size};
 use evermap_schemas::layers::{BoxHypothesis, PlacedLabel};
 use evermap_schemas::roles::ImageAnnotation;
-use evermap_schemas::{Fault, Stamp};
+use evermap_schemas::{Fault, Pose, Stamp};
 use serde::Deserialize;
 use serde_json::{Value, json};
 
+use crate::annotate::geojson::of_image;
 use crate::annotate::{Losses, geojson};
+use crate::camera_images::file;
 use crate::serve::access::Who;
-use crate::serve::http::{App, Asks, MapOf, Refusal, pictures};
+use crate::serve::http::{App, Asks, MapOf, Refusal};
 use crate::serve::maps::ServedMap;
-use crate::serve::teach::{Canvas, Site, Teaching};
+use crate::serve::teach::{Asked as AskedPerson, Canvas, Site, Teaching};
 
 /// `GET /teach`: whether people may teach, and as whom.
 pub async fn may(
@@ -90,7 +92,7 @@ pub struct Asked {
 
 /// `GET /teach/{site}/{kind}?revision=…&searched=…`: what may be of a kind, the likeliest first, as all that was said up to
 /// a revision, or later, teaches. Waits until it is learnt: a fraction of a second for candidates that are known, longer
-/// for a search.
+/// for a search. Of people, whom the version asks about, each with the image that may show them.
 ///
 /// # Errors
 /// As [`labels`]; when it takes too long.
@@ -102,6 +104,9 @@ pub async fn hypotheses(
 ) -> Result<Json<Value>, Refusal> {
     let site = app.teaching()?.site(&map, text(&path, "site")).await?;
     let kind = text(&path, "kind");
+    if kind == PERSON {
+        return Ok(Json(people_of(&site).await));
+    }
     let learnt = site.learnt(kind, asked.revision, asked.searched);
     let learnt = app.within(learnt).await?;
     Ok(Json(json!({
@@ -192,7 +197,7 @@ async fn labels_of(site: &Site) -> Value {
 /// Width and height of an image of the newest version.
 async fn size(map: &ServedMap, image: &ImageKey) -> Result<[u32; 2], Fault> {
     let opened = map.newest().await?;
-    let bytes = pictures::bytes(&opened, map, image).await?;
+    let bytes = file(&opened.reader, &opened.context, image).await?;
     image_size(&bytes).map_err(|error| Fault::data(error.to_string()))
 }
 
@@ -200,6 +205,40 @@ async fn paint_of(site: &Site, image: &ImageKey) -> Value {
     let found = site.painted(image).await;
     let labels: Vec<Value> = found.lying.iter().map(painted).collect();
     json!({ "version": found.version, "labels": labels, "classes": found.classes })
+}
+
+async fn people_of(site: &Site) -> Value {
+    let found = site.people().await;
+    json!({
+        "revision": found.revision,
+        "is_searched": true,
+        "milliseconds": 0,
+        "unplaced": found.unplaced,
+        "hypotheses": found.asked.iter().map(person).collect::<Vec<_>>(),
+    })
+}
+
+/// Side of the box that is drawn where somebody stands, m.
+const FOOTPRINT_M: f64 = 0.4;
+
+fn person(asked: &AskedPerson) -> Value {
+    let one = &asked.question;
+    json!({
+        "hypothesis": one.person,
+        "probability": one.probability,
+        "question": one.question,
+        "gain": one.gain,
+        "reason": one.reason,
+        "map_from_label": pose(&asked.map_from_person),
+        "length_m": FOOTPRINT_M,
+        "width_m": FOOTPRINT_M,
+        "image": of_image(&asked.image()),
+        "rectangle": one.rectangle,
+    })
+}
+
+fn pose(pose: &Pose) -> Value {
+    json!({ "x": pose.x, "y": pose.y, "z": pose.z, "qx": pose.qx, "qy": pose.qy, "qz": pose.qz, "qw": pose.qw })
 }
 
 fn painted(act: &ImageAnnotation) -> Value {
@@ -225,14 +264,13 @@ fn label(label: &PlacedLabel) -> Value {
 }
 
 fn hypothesis(one: &BoxHypothesis) -> Value {
-    let pose = &one.map_from_label;
     json!({
         "hypothesis": one.hypothesis,
         "probability": one.probability,
         "question": one.question,
         "gain": one.gain,
         "reason": one.reason,
-        "map_from_label": { "x": pose.x, "y": pose.y, "z": pose.z, "qx": pose.qx, "qy": pose.qy, "qz": pose.qz, "qw": pose.qw },
+        "map_from_label": pose(&one.map_from_label),
         "length_m": one.length_m,
         "width_m": one.width_m,
     })

@@ -9,6 +9,7 @@
 
 mod lesson;
 mod painting;
+mod people;
 mod told;
 
 use std::collections::BTreeMap;
@@ -16,6 +17,7 @@ use std::path::{Path, PathBuf};
 use std::sync::{Arc, MutexGuard, PoisonError};
 use std::time::Duration;
 
+use evermap_catalog::PERSON;
 use evermap_catalog::painted::ImageKey;
 use evermap_schemas::Fault;
 use evermap_schemas::layers::PlacedLabel;
@@ -29,6 +31,7 @@ use crate::serve::teach::lesson::{Learnt, Lesson};
 use crate::serve::teach::told::{Saved, Told};
 
 pub use crate::serve::teach::painting::{Canvas, Painted};
+pub use crate::serve::teach::people::{Asked, People};
 
 /// A log ends when its author has said nothing for so long.
 const SITTING: Duration = Duration::from_secs(60);
@@ -156,7 +159,11 @@ impl Site {
             let mut told = self.told.lock().await;
             tokio::task::block_in_place(|| told.say(author, features))?
         };
+        // Of people the next run learns, from images.
         for kind in saved.kinds.clone() {
+            if kind == PERSON {
+                continue;
+            }
             let site = Arc::clone(self);
             tokio::spawn(async move {
                 if let Err(fault) = site.learn(&kind).await {
@@ -165,6 +172,11 @@ impl Site {
             });
         }
         Ok(saved)
+    }
+
+    /// Whom to ask about.
+    pub async fn people(&self) -> People {
+        self.told.lock().await.people()
     }
 
     /// What lies on an image.

@@ -8,14 +8,15 @@ use std::time::{Duration, Instant};
 use evermap_algorithms::ground::boxes::mosaic::Mosaic;
 use evermap_datasets::annotations::{Annotation, AnnotationLog};
 use evermap_schemas::Fault;
-use evermap_schemas::layers::{Lane, OverheadGradients, OverheadTile};
+use evermap_schemas::layers::{Lane, OverheadGradients, OverheadTile, PersonQuestion};
 use evermap_schemas::roles::ImageAnnotation;
 use serde_json::{Value, json};
 
 use super::made;
 use crate::annotate::features::Feature;
+use crate::annotate::geojson::of_image;
 use crate::annotate::saying::{Speaker, read_back, said};
-use crate::annotate::state::{State, painted};
+use crate::annotate::state::{State, image_of, painted};
 use crate::annotate::{Losses, begin, taking_in, unwritten};
 use crate::ending::Lost;
 use crate::progress::line;
@@ -31,6 +32,8 @@ pub(super) struct Told {
     pub(super) lanes: Arc<Vec<Lane>>,
     /// All that was said of images.
     pub(super) paint: Vec<ImageAnnotation>,
+    /// Whom the version asks about, the first one first.
+    pub(super) people: Vec<PersonQuestion>,
     logs: BTreeMap<String, (AnnotationLog, Instant)>,
     pub(super) folder: PathBuf,
     /// Counts what was said since the server knows the site.
@@ -67,6 +70,8 @@ impl Told {
             let counted = Lost(losses.counts).counted();
             line(&format!("what was said of {site}: {}", counted.trim_end()));
         }
+        let mut people: Vec<PersonQuestion> = opened.reader.rows(Some(site)).await?;
+        people.sort_by_key(|row| row.question);
         let tiles: Vec<OverheadTile> = opened.reader.rows(Some(site)).await?;
         // A map that an older evermap made has none.
         let known: Vec<OverheadGradients> = opened.reader.rows(Some(site)).await?;
@@ -81,6 +86,7 @@ impl Told {
             mosaic: Arc::new(mosaic),
             lanes: Arc::new(lanes),
             paint,
+            people,
             logs: BTreeMap::new(),
             folder,
             revision: 1,
@@ -140,11 +146,15 @@ impl Told {
 
     /// What makes a label as it is now.
     fn undo(&self, label: &str, kind: &str) -> Value {
+        let known = self.state.labels.get(label);
+        let image = known.and_then(image_of);
+        let image = image.filter(|image| self.state.map_from_vehicle(image).is_some());
+        let image = image.as_ref().map(of_image);
         let feature = |geometry: Value, kind: &str, standing: &str| {
-            let properties = json!({ "kind": kind, "standing": standing });
+            let properties = json!({ "kind": kind, "standing": standing, "image": image });
             json!({ "type": "Feature", "id": label, "geometry": geometry, "properties": properties })
         };
-        let Some(known) = self.state.labels.get(label) else {
+        let Some(known) = known else {
             return feature(Value::Null, kind, "removed");
         };
         let geometry = match known.shape.as_str() {

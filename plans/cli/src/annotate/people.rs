@@ -1,0 +1,270 @@
+//! What people said of somebody in camera images by drawing boxes: who was left is a person, who was removed is none, and who
+//! was added was missed.
+
+use std::path::Path;
+
+use evermap_algorithms::geometry::pose::Pose;
+use evermap_algorithms::ground::people::PeopleParams;
+use evermap_algorithms::ground::people::boxed::{overlap, standing};
+use evermap_catalog::PERSON;
+use evermap_catalog::painted::ImageKey;
+use evermap_schemas::Fault;
+use nalgebra::Vector3;
+
+use super::Losses;
+use super::features::{Feature, Geometry, Point};
+use super::person_images::{AskedBox, CORNER, PersonImage, PersonImages};
+use super::pixels::{PictureBox, Pixel, Program};
+use super::state::State;
+
+/// A box that was drawn is about who was asked about if the two share as much of what they cover together: people draw
+/// tighter than a detector.
+const SAME: f64 = 0.3;
+/// Half the side of the box that is drawn where somebody stands, m.
+const HALF_M: f64 = 0.2;
+
+/// What a file of COCO, CVAT or Label Studio says of the images of a folder that `evermap export --format coco` wrote. What
+/// makes no sense is noted and left out; `plane_m` is the height of the ground in the vehicle frame.
+///
+/// # Errors
+/// A user fault for another folder, images of another site, or a file of another form or of other images.
+pub fn read(
+    file: &Path,
+    folder: &Path,
+    (state, plane_m): (&State, f64),
+    losses: &mut Losses,
+) -> Result<Vec<Feature>, Fault> {
+    let images = PersonImages::read(folder)?;
+    if let Some(other) = images.images.iter().find(|image| image.site != state.site) {
+        let (site, found) = (&state.site, &other.site);
+        return Err(Fault::user(format!(
+            "expected images of the site {site}, found some of {found}"
+        ))
+        .at(folder.display()));
+    }
+    let at = |fault: Fault| fault.at(file.display());
+    let text = evermap_datasets::read_text(file)
+        .map_err(|error| at(Fault::user(format!("expected a file, found {error}"))))?;
+    let program = Program::of(file, &text).ok_or_else(|| {
+        at(Fault::user(
+            "expected boxes of COCO, CVAT (XML) or Label Studio (JSON), found none of them",
+        ))
+    })?;
+    let canvases: Vec<_> = images.images.iter().map(PersonImage::canvas).collect();
+    let found = program.boxes(file, &text, &canvases, losses).map_err(at)?;
+    let mut drawn: Vec<Vec<PictureBox>> = canvases.iter().map(|_| Vec::new()).collect();
+    let mut seen = found.seen;
+    for one in found.boxes {
+        if !is_person(one.kind.as_deref()) {
+            losses.note("box of something else than a person", &one.place);
+        } else if let Some(of_image) = drawn.get_mut(one.picture) {
+            seen.insert(one.picture);
+            of_image.push(one);
+        }
+    }
+    let mut features = Vec::new();
+    for (number, (image, drawn)) in images.images.iter().zip(drawn).enumerate() {
+        if seen.contains(&number) {
+            let asked: Vec<&AskedBox> = images.asked(image).collect();
+            let said = said(&asked, &drawn);
+            let image = Shown::new(image, state, plane_m);
+            features.extend(image.features(&said, losses));
+        }
+    }
+    Ok(features)
+}
+
+/// Whether a box marks a person: where it says nothing else, in capitals or not.
+fn is_person(kind: Option<&str>) -> bool {
+    kind.is_none_or(|kind| kind.trim().eq_ignore_ascii_case(PERSON))
+}
+
+/// What was said of somebody.
+#[derive(Debug)]
+enum Said<'a> {
+    /// Who was asked about is a person.
+    Left(&'a AskedBox),
+    /// Who was asked about is none.
+    Removed(&'a AskedBox),
+    /// Somebody was missed.
+    Added(&'a PictureBox),
+}
+
+/// What boxes that were drawn on an image say of those whom was asked about, the most alike first.
+fn said<'a>(asked: &[&'a AskedBox], drawn: &'a [PictureBox]) -> Vec<Said<'a>> {
+    let mut pairs = Vec::new();
+    for (a, one) in asked.iter().enumerate() {
+        for (d, other) in drawn.iter().enumerate() {
+            let alike = overlap(&flat(one.bounds()), &flat(other.bounds));
+            if alike >= SAME {
+                pairs.push((alike, a, d));
+            }
+        }
+    }
+    pairs.sort_by(|a, b| b.0.total_cmp(&a.0).then((a.1, a.2).cmp(&(b.1, b.2))));
+    let (mut left, mut meant) = (vec![false; asked.len()], vec![false; drawn.len()]);
+    for (_, a, d) in pairs {
+        if !left[a] && !meant[d] {
+            (left[a], meant[d]) = (true, true);
+        }
+    }
+    let of_asked = asked
+        .iter()
+        .copied()
+        .zip(&left)
+        .map(|(one, left)| match left {
+            true => Said::Left(one),
+            false => Said::Removed(one),
+        });
+    let added = drawn.iter().zip(&meant).filter(|(_, meant)| !**meant);
+    of_asked
+        .chain(added.map(|(one, _)| Said::Added(one)))
+        .collect()
+}
+
+fn flat([[left, top], [right, bottom]]: [Pixel; 2]) -> [f64; 4] {
+    [left, top, right, bottom]
+}
+
+/// An image, and what the map knows of it.
+struct Shown<'a> {
+    image: &'a PersonImage,
+    key: ImageKey,
+    state: &'a State,
+    plane_m: f64,
+}
+
+impl<'a> Shown<'a> {
+    fn new(image: &'a PersonImage, state: &'a State, plane_m: f64) -> Self {
+        Self {
+            key: image.key(),
+            image,
+            state,
+            plane_m,
+        }
+    }
+
+    fn features(&self, said: &[Said<'_>], losses: &mut Losses) -> Vec<Feature> {
+        let Some(map_from_vehicle) = self.state.map_from_vehicle(&self.key) else {
+            let place = &self.image.file_name;
+            losses.note("image that the map has no vehicle pose of", place);
+            return Vec::new();
+        };
+        let mut features = Vec::new();
+        for one in said {
+            let (standing, place, at) = match one {
+                Said::Left(asked) => ("accepted", self.place(asked), Ok([asked.x, asked.y])),
+                Said::Removed(asked) => ("rejected", self.place(asked), Ok([asked.x, asked.y])),
+                Said::Added(drawn) => {
+                    let place = format!("{}, {}", self.image.file_name, drawn.place);
+                    ("drawn", place, self.standing(drawn))
+                }
+            };
+            match at {
+                Ok(at) => features.push(Feature {
+                    place,
+                    label: None,
+                    within_m: None,
+                    kind: Some(PERSON.to_owned()),
+                    category: None,
+                    standing: Some(standing.to_owned()),
+                    geometry: Some(self.footprint(&map_from_vehicle, at)),
+                    brush_px: None,
+                    image: Some(self.key.clone()),
+                }),
+                Err(reason) => losses.note(reason, &place),
+            }
+        }
+        features
+    }
+
+    fn place(&self, asked: &AskedBox) -> String {
+        format!("{}, question {}", self.image.file_name, asked.question)
+    }
+
+    /// Where in the vehicle frame somebody stands who was missed, m.
+    fn standing(&self, drawn: &PictureBox) -> Result<[f64; 2], &'static str> {
+        let (session, _, camera) = &self.key;
+        let mounted = self.state.holds.camera(session, camera);
+        let mounted =
+            mounted.ok_or("box of somebody new, of a camera that the map does not know")?;
+        // The lens is that of images of the calibration's size.
+        let lens = [mounted.camera.width, mounted.camera.height];
+        let size = self.image.canvas().size;
+        let pixel = |at: Pixel| {
+            [0, 1].map(|axis| at[axis] * f64::from(lens[axis]) / f64::from(size[axis]) - CORNER)
+        };
+        let drawn = flat(drawn.bounds.map(pixel));
+        let params = PeopleParams {
+            plane_m: self.plane_m,
+            ..PeopleParams::default()
+        };
+        let found = standing(
+            &mounted.camera,
+            &mounted.vehicle_from_camera,
+            &drawn,
+            &params,
+        );
+        found.ok_or("box of somebody new, whom nobody on the ground near the vehicle would fill")
+    }
+
+    /// A small box in the map where somebody stands.
+    fn footprint(&self, map_from_vehicle: &Pose, [x, y]: [f64; 2]) -> Geometry {
+        let corners = [[1.0, 1.0], [-1.0, 1.0], [-1.0, -1.0], [1.0, -1.0]];
+        let corner = |[ahead, left]: [f64; 2]| -> Point {
+            let at = Vector3::new(x + HALF_M * ahead, y + HALF_M * left, self.plane_m);
+            let at = map_from_vehicle.transform(&at);
+            ([at.x, at.y], Some(at.z))
+        };
+        Geometry::Closed(corners.map(corner).to_vec())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::annotate::person_images::tests::question;
+
+    fn drawn(bounds: [Pixel; 2]) -> PictureBox {
+        PictureBox {
+            place: String::new(),
+            kind: None,
+            picture: 0,
+            bounds,
+        }
+    }
+
+    #[test]
+    fn who_was_left_is_a_person_who_was_removed_none_and_who_was_added_was_missed() {
+        let mut images = PersonImages::default();
+        let questions = [
+            question(1, [9.5, 19.5, 29.5, 79.5]),
+            question(2, [11.5, 19.5, 31.5, 79.5]),
+            question(3, [59.5, 19.5, 79.5, 79.5]),
+        ];
+        images.add(([100, 80], "png"), &questions);
+        let asked: Vec<&AskedBox> = images.annotations.iter().collect();
+        let boxes = [
+            // Tighter than the second one was, and nearer to it than to the first.
+            drawn([[13.0, 22.0], [31.0, 78.0]]),
+            // Beside the third one.
+            drawn([[85.0, 20.0], [99.0, 79.0]]),
+        ];
+        let said = said(&asked, &boxes);
+        let told: Vec<String> = said
+            .iter()
+            .map(|one| match one {
+                Said::Left(one) => format!("left {}", one.question),
+                Said::Removed(one) => format!("removed {}", one.question),
+                Said::Added(one) => format!("added at {}", one.bounds[0][0]),
+            })
+            .collect();
+        assert_eq!(told, ["removed 1", "left 2", "removed 3", "added at 85"]);
+    }
+
+    #[test]
+    fn a_box_marks_a_person_where_it_says_nothing_else() {
+        assert!(is_person(None) && is_person(Some("person")) && is_person(Some(" Person")));
+        assert!(!is_person(Some("car")) && !is_person(Some("persons")));
+    }
+}
