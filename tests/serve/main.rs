@@ -417,6 +417,35 @@ fn rows_that_wait_for_many_readers_are_counted_in_the_memory() {
     );
 }
 
+/// What is made before it is sent waits for who reads nothing on the disk.
+#[test]
+fn answers_that_are_made_before_they_are_sent_wait_outside_of_the_memory() {
+    let folder = tempfile::tempdir().unwrap();
+    let map = map(folder.path());
+    let server = Server::start(&map, &["--queries", "2"]);
+    let rows = "SELECT+repeat('x',1000000)+AS+t+FROM+generate_series(1,40)";
+    let before = server.memory();
+    let silent: Vec<_> = (0..12)
+        .map(|number| {
+            let format = ["json", "csv"][number % 2];
+            let mut stream = std::net::TcpStream::connect(&server.http).unwrap();
+            let request = format!(
+                "GET /sql?format={format}&query={rows} HTTP/1.1\r\nHost: localhost\r\n\r\n"
+            );
+            stream.write_all(request.as_bytes()).unwrap();
+            let mut begun = [0; 15];
+            stream.read_exact(&mut begun).unwrap();
+            assert_eq!(&begun, b"HTTP/1.1 200 OK");
+            stream
+        })
+        .collect();
+    // What making them took is given back soon.
+    std::thread::sleep(std::time::Duration::from_secs(5));
+    let more = server.memory().saturating_sub(before);
+    assert!(more < 256 << 20, "{more} bytes more");
+    drop(silent);
+}
+
 /// A thing that is clicked on the page is followed back to the messages of its log.
 #[test]
 fn the_page_tells_what_a_row_was_made_from() {
