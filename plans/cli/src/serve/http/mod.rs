@@ -12,6 +12,7 @@ mod refusal;
 mod rows;
 mod teach;
 
+use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use axum::Router;
@@ -178,6 +179,15 @@ impl FromRequestParts<App> for MapOf {
     }
 }
 
+/// A name that a path has. Browsers take `.` and `..` for folders, however they are encoded, so a `~` stands before these; before
+/// `~.` too, which would be read as `.`.
+pub fn named<'p>(path: &'p BTreeMap<String, String>, part: &str) -> &'p str {
+    let written = path.get(part).map_or("", String::as_str);
+    let plain = written.strip_prefix('~');
+    let plain = plain.filter(|plain| matches!(plain.trim_start_matches('~'), "." | ".."));
+    plain.unwrap_or(written)
+}
+
 /// An answer that a browser keeps, and asks for again by its tag: it stays right when a map is made anew.
 pub fn tagged(headers: &HeaderMap, tag: &str, kind: &'static str, body: Vec<u8>) -> Response {
     match has(headers, tag) {
@@ -203,4 +213,27 @@ pub fn kept(tag: &str) -> [(header::HeaderName, String); 2] {
         (header::ETAG, format!("\"{tag}\"")),
         (header::CACHE_CONTROL, "private, no-cache".to_owned()),
     ]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_that_browsers_take_for_folders_are_written_otherwise() {
+        for (written, name) in [
+            ("lot", "lot"),
+            ("~lot", "~lot"),
+            ("~", "~"),
+            ("~.", "."),
+            ("~..", ".."),
+            ("~~.", "~."),
+            ("~...", "~..."),
+            ("..", ".."),
+        ] {
+            let path = BTreeMap::from([("site".to_owned(), written.to_owned())]);
+            assert_eq!(named(&path, "site"), name, "{written}");
+        }
+        assert_eq!(named(&BTreeMap::new(), "site"), "");
+    }
 }

@@ -15,7 +15,7 @@ use evermap_schemas::{Fault, ImageRef, Stamp};
 use serde::Deserialize;
 
 use crate::reader::typed;
-use crate::serve::http::{App, Asks, MapOf, Refusal, tagged};
+use crate::serve::http::{App, Asks, MapOf, Refusal, named, tagged};
 use crate::serve::maps::{Opened, ServedMap};
 use crate::shown::{Picture, Tile};
 
@@ -29,7 +29,7 @@ pub async fn tile(
     Asks(Path(path)): Asks<Path<BTreeMap<String, String>>>,
     headers: HeaderMap,
 ) -> Result<Response, Refusal> {
-    let site = path.get("site").map_or("", String::as_str);
+    let site = named(&path, "site");
     let version = match path.get("version").map(String::as_str) {
         Some("newest") => None,
         _ => Some(number(&path, "version")?),

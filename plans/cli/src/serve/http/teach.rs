@@ -16,7 +16,7 @@ use serde_json::{Value, json};
 
 use crate::annotate::{Losses, geojson};
 use crate::serve::access::Who;
-use crate::serve::http::{App, Asks, MapOf, Refusal, pictures};
+use crate::serve::http::{App, Asks, MapOf, Refusal, named, pictures};
 use crate::serve::maps::ServedMap;
 use crate::serve::teach::{Canvas, Site, Teaching};
 
@@ -70,7 +70,7 @@ pub async fn labels(
     Asks(Path(path)): Asks<Path<BTreeMap<String, String>>>,
     Asks(Query(of)): Asks<Query<OfImage>>,
 ) -> Result<Json<Value>, Refusal> {
-    let site = app.teaching()?.site(&map, text(&path, "site")).await?;
+    let site = app.teaching()?.site(&map, named(&path, "site")).await?;
     Ok(Json(match of.key()? {
         Some(image) => paint_of(&site, &image).await,
         None => labels_of(&site).await,
@@ -100,8 +100,8 @@ pub async fn hypotheses(
     Asks(Path(path)): Asks<Path<BTreeMap<String, String>>>,
     Asks(Query(asked)): Asks<Query<Asked>>,
 ) -> Result<Json<Value>, Refusal> {
-    let site = app.teaching()?.site(&map, text(&path, "site")).await?;
-    let kind = text(&path, "kind");
+    let site = app.teaching()?.site(&map, named(&path, "site")).await?;
+    let kind = named(&path, "kind");
     let learnt = site.learnt(kind, asked.revision, asked.searched);
     let learnt = app.within(learnt).await?;
     Ok(Json(json!({
@@ -138,7 +138,7 @@ pub async fn say(
 ) -> Result<Json<Value>, Refusal> {
     let teaching = app.teaching()?;
     let Json(saying) = saying?;
-    let site = teaching.site(&map, text(&path, "site")).await?;
+    let site = teaching.site(&map, named(&path, "site")).await?;
     let author = user.or(saying.author);
     let author = author.as_deref().unwrap_or(&teaching.author);
     let mut losses = Losses::default();
@@ -177,10 +177,6 @@ impl App {
             Fault::user("this server is only read").next("start it with --teach FOLDER")
         })
     }
-}
-
-fn text<'p>(path: &'p BTreeMap<String, String>, name: &str) -> &'p str {
-    path.get(name).map_or("", String::as_str)
 }
 
 async fn labels_of(site: &Site) -> Value {
