@@ -18,6 +18,9 @@ use crate::serve::http::heard::Heard;
 use crate::serve::http::who;
 use crate::serve::patience::{Asked, Exchanges};
 
+/// Bytes of the head of a request beyond which no more are awaited, by HTTP/1: a query in an address fits. By HTTP/2 it is 16 KiB.
+const HEAD: usize = 128 << 10;
+
 /// What all connections lead to.
 #[derive(Clone)]
 pub struct Door {
@@ -61,7 +64,8 @@ async fn answered<I: AsyncRead + AsyncWrite + Unpin + Send + 'static>(
     asked: Asked,
     exchanges: Exchanges,
 ) -> Result<(), BoxError> {
-    let builder = Builder::new(TokioExecutor::new());
+    let mut builder = Builder::new(TokioExecutor::new());
+    builder.http1().max_buf_size(HEAD);
     let answers = TowerToHyperService::new(router);
     let begun = exchanges.clone();
     let service = service_fn(move |request: Request<Incoming>| {
@@ -151,6 +155,19 @@ mod tests {
         assert!(has(&asks_once(&by_http2("/l")).await.0, b"late"));
         let by_http1 = b"GET /l HTTP/1.1\r\nHost: a\r\n\r\n";
         assert!(has(&asks_once(by_http1).await.0, b"late"));
+    }
+
+    #[tokio::test]
+    async fn a_head_without_an_end_is_not_kept() {
+        let head = |letters: usize| {
+            let address = "a".repeat(60_000);
+            let more = "b".repeat(letters);
+            format!("GET /?{address} HTTP/1.1\r\nHost: a\r\nMore: {more}\r\n\r\n")
+        };
+        let (given, _) = asks_once(head(1000).as_bytes()).await;
+        assert!(has(&given, b"soon"), "{given:?}");
+        let (given, _) = asks_once(head(3 * HEAD).as_bytes()).await;
+        assert!(has(&given, b" 431 "), "{given:?}");
     }
 
     /// However often it asks.
