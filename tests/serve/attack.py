@@ -171,6 +171,22 @@ def busy(http):
     check(code == 200, f"beside a query that computes: {code}")
 
 
+def stranger(http):
+    """Who may not come in does not stay, however often it asks."""
+    host, port = http.split(":")
+    begun = time.monotonic()
+    with socket.create_connection((host, int(port)), timeout=10) as stream:
+        try:
+            while time.monotonic() < begun + 25:
+                stream.sendall(b"GET /health HTTP/1.1\r\nHost: localhost\r\n\r\n")
+                if not stream.recv(4096):
+                    return
+                time.sleep(1)
+        except OSError:
+            return
+    check(False, "a connection that may not come in is still open after 25 s")
+
+
 def quoted(query):
     return urllib.parse.quote(query.rstrip(b"\0")).encode()
 
@@ -416,6 +432,7 @@ def main(kind, http, postgres, ca=None):
         busy(http)
     if kind == "closed":
         before_a_password(postgres)
+        stranger(http)
         first = [b"", b"SCRAM-SHA-256\0", b"SCRAM-SHA-256\0" + struct.pack("!i", -2), b"SCRAM-SHA-256\0" + struct.pack("!i", 99)]
         long = said(b"Q", b"SELECT 1" + b" " * 10_000 + b"\0")
         malformed(postgres, start(user="ada", database="map"), [said(b"p", body) for body in first] + [long])
@@ -449,6 +466,16 @@ def main(kind, http, postgres, ca=None):
             check(False, "HTTP without TLS")
         except (http_client.HTTPException, OSError):
             pass
+        # Its driver insists that the server says which protocol it speaks.
+        options = {
+            adbc_driver_flightsql.DatabaseOptions.TLS_ROOT_CERTS.value: open(ca).read(),
+            adbc_driver_flightsql.DatabaseOptions.AUTHORIZATION_HEADER.value: token["Authorization"],
+        }
+        address = "grpc+tls://" + http.replace("127.0.0.1", "localhost")
+        with adbc_driver_flightsql.dbapi.connect(address, db_kwargs=options, autocommit=True) as connection:
+            with connection.cursor() as cursor:
+                cursor.execute("SELECT 1 AS one")
+                check(cursor.fetchone() == (1,), "Flight SQL by TLS")
         with connect(postgres, password="byron-1815", sslmode="require") as connection:
             check(connection.execute("SELECT 1").fetchone() == (1,), "by TLS")
         try:

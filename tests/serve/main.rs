@@ -199,6 +199,47 @@ fn a_version_that_gc_forgets_meanwhile_is_not_answered_in_part() {
     assert!(newest.starts_with("HTTP/1.1 200"), "{newest}");
 }
 
+/// Files that are replaced while a version is open: rows that are not what was written are refused until they are there again,
+/// and a log is read as it is.
+#[test]
+fn files_that_are_replaced_while_a_version_is_open_are_noticed() {
+    let folder = tempfile::tempdir().unwrap();
+    let map = map(folder.path());
+    let server = Server::start(&map, &[]);
+    let answer = |query: &str| {
+        // For so long what was just looked at is believed.
+        std::thread::sleep(std::time::Duration::from_millis(1200));
+        let answer = asked(&server, query);
+        let (head, body) = answer.split_once("\r\n\r\n").unwrap();
+        (head[..12].to_owned(), body.to_owned())
+    };
+    let lanes = "SELECT count(*) AS n, sum(length_m) AS all_m FROM lanes";
+    let first = answer(lanes);
+    assert_eq!(first.0, "HTTP/1.1 200", "{first:?}");
+    let version = std::fs::read(map.join("versions/2.json")).unwrap();
+    let version: Value = serde_json::from_slice(&version).unwrap();
+    let content = &version["layers"]["lanes"]["artifacts"][0]["content"];
+    let path = map.join(format!("artifacts/{}.parquet", content.as_str().unwrap()));
+    let whole = std::fs::read(&path).unwrap();
+    let mut other = whole.clone();
+    other[whole.len() / 2] ^= 0x7f;
+    std::fs::write(&path, other).unwrap();
+    let (status, said) = answer(lanes);
+    assert_eq!(status, "HTTP/1.1 422", "{said}");
+    assert!(said.contains("expected the digest"), "{said}");
+    std::fs::write(&path, whole).unwrap();
+    assert_eq!(answer(lanes), first);
+
+    let messages = |day: &str| answer(&format!("SELECT count(*) AS n FROM {day}.messages"));
+    let (monday, tuesday) = (messages("monday"), messages("tuesday"));
+    assert_ne!(monday, tuesday);
+    let log = |day: &str| folder.path().join(format!("{day}.mcap"));
+    let size = |day: &str| std::fs::metadata(log(day)).unwrap().len();
+    assert!(size("monday") < size("tuesday"));
+    std::fs::copy(log("monday"), log("tuesday")).unwrap();
+    assert_eq!(messages("tuesday"), monday);
+}
+
 /// By the path that `/maps` gives, and as a schema beside another map's.
 #[test]
 fn a_map_is_reached_by_its_name_whatever_letters_are_in_it() {
@@ -416,6 +457,35 @@ fn rows_that_wait_for_many_readers_are_counted_in_the_memory() {
         said.contains("an answer that is being read needs"),
         "nobody was refused: {said}"
     );
+}
+
+/// What is made before it is sent waits for who reads nothing on the disk.
+#[test]
+fn answers_that_are_made_before_they_are_sent_wait_outside_of_the_memory() {
+    let folder = tempfile::tempdir().unwrap();
+    let map = map(folder.path());
+    let server = Server::start(&map, &["--queries", "2"]);
+    let rows = "SELECT+repeat('x',1000000)+AS+t+FROM+generate_series(1,40)";
+    let before = server.memory();
+    let silent: Vec<_> = (0..12)
+        .map(|number| {
+            let format = ["json", "csv"][number % 2];
+            let mut stream = std::net::TcpStream::connect(&server.http).unwrap();
+            let request = format!(
+                "GET /sql?format={format}&query={rows} HTTP/1.1\r\nHost: localhost\r\n\r\n"
+            );
+            stream.write_all(request.as_bytes()).unwrap();
+            let mut begun = [0; 15];
+            stream.read_exact(&mut begun).unwrap();
+            assert_eq!(&begun, b"HTTP/1.1 200 OK");
+            stream
+        })
+        .collect();
+    // What making them took is given back soon.
+    std::thread::sleep(std::time::Duration::from_secs(5));
+    let more = server.memory().saturating_sub(before);
+    assert!(more < 256 << 20, "{more} bytes more");
+    drop(silent);
 }
 
 /// A thing that is clicked on the page is followed back to the messages of its log.

@@ -33,14 +33,22 @@ function exact(text) {
 }
 
 /**
+ * A name as a part of a path. Browsers take `.` and `..` for folders, however they are encoded: a `~` stands before these, and
+ * before `~.`, which would be read as `.`.
+ */
+function part(name) {
+  return encodeURIComponent(/^~*\.\.?$/.test(name) ? `~${name}` : name);
+}
+
+/**
  * Asks a server that is taught: of nothing who may teach, of `[site]` its labels, or those
  * of an image that is asked for, of `[site, kind]` what may be of a kind.
- * @param {string[]} [of] any texts: a name may have a slash
+ * @param {string[]} [of] any texts: a name may have a slash, or be `..`
  * @param {object} [asked]
  * @param {object} [said] what is said of the site, or of the image
  */
 export async function teaching(of = [], asked = {}, said = undefined) {
-  const address = `${["./teach", ...of.map(encodeURIComponent)].join("/")}?${new URLSearchParams(asked)}`;
+  const address = `${["./teach", ...of.map(part)].join("/")}?${new URLSearchParams(asked)}`;
   const how = said && { method: "POST", headers: { "content-type": "application/json" }, body: JSON.stringify(said) };
   const answer = await fetch(address, how);
   if (answer.ok) return answer.json();
@@ -55,7 +63,7 @@ export async function maps() {
 
 /** The address of a tile, by the numbers of its row. */
 export function tile(site, version, zoom, x, y) {
-  return `./tiles/${encodeURIComponent(site)}/${version}/${zoom}/${x}/${y}`;
+  return `./tiles/${part(site)}/${version}/${zoom}/${x}/${y}`;
 }
 
 /** The address of a camera image that a keyframe names. */

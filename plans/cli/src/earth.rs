@@ -221,16 +221,6 @@ pub fn beside(picture: &Path) -> PathBuf {
 /// # Errors
 /// A user fault for a site of which nobody knows where it lies; a data fault for a geometry that is none.
 pub fn on_earth(
-    batches: &[RecordBatch],
-    geometry: &str,
-    earth: &Earth,
-    to: Coordinates,
-) -> Result<Vec<RecordBatch>, Fault> {
-    let moved = |batch: &RecordBatch| moved(batch, geometry, earth, to);
-    batches.iter().map(moved).collect()
-}
-
-fn moved(
     batch: &RecordBatch,
     geometry: &str,
     earth: &Earth,
@@ -301,7 +291,7 @@ pub(crate) mod tests {
         })
     }
 
-    fn rows() -> Vec<RecordBatch> {
+    fn row() -> RecordBatch {
         let row = Intersection {
             site: "lot".into(),
             node: 4,
@@ -312,11 +302,11 @@ pub(crate) mod tests {
             sources: vec![],
             geometry: Wkb::point([100.0, 50.0, 2.0]),
         };
-        vec![batch(vec![row]).unwrap()]
+        batch(vec![row]).unwrap()
     }
 
-    fn point(batches: &[RecordBatch]) -> [f64; 3] {
-        let bytes = batches[0].column_by_name("geometry").unwrap();
+    fn point(batch: &RecordBatch) -> [f64; 3] {
+        let bytes = batch.column_by_name("geometry").unwrap();
         let geometry = Geometry::from_wkb(bytes.as_binary::<i32>().value(0)).unwrap();
         geometry.paths()[0][0].to_array()
     }
@@ -324,10 +314,10 @@ pub(crate) mod tests {
     #[test]
     fn a_map_that_looks_north_has_its_x_axis_there() {
         let earth = Earth(BTreeMap::from([("lot".to_owned(), lot())]));
-        let metres = on_earth(&rows(), "geometry", &earth, Coordinates::Metres).unwrap();
+        let metres = on_earth(&row(), "geometry", &earth, Coordinates::Metres).unwrap();
         let [x, y, z] = point(&metres);
         assert!((x + 50.0).abs() < 1e-9 && (y - 100.0).abs() < 1e-9 && (z - 82.0).abs() < 0.01);
-        let degrees = on_earth(&rows(), "geometry", &earth, Coordinates::Degrees).unwrap();
+        let degrees = on_earth(&row(), "geometry", &earth, Coordinates::Degrees).unwrap();
         let [longitude, latitude, _] = point(&degrees);
         // As the page of georeference has it.
         assert!((longitude - 10.499_267_87).abs() < 1e-7, "{longitude}");
@@ -336,7 +326,7 @@ pub(crate) mod tests {
 
     #[test]
     fn a_site_that_nobody_placed_is_named() {
-        let fault = on_earth(&rows(), "geometry", &Earth::default(), Coordinates::Metres);
+        let fault = on_earth(&row(), "geometry", &Earth::default(), Coordinates::Metres);
         assert!(fault.unwrap_err().message.contains("lot"));
     }
 }

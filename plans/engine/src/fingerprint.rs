@@ -194,6 +194,20 @@ pub async fn open_mapped(
     Ok(opened)
 }
 
+/// Whether the files of a log are those that were opened. One on a disk may have grown meanwhile.
+///
+/// # Errors
+/// A fault with the place of a file that is gone, or when its store does not answer.
+pub async fn stands(log: &Dataset) -> Result<bool, Fault> {
+    let parts = log.parts();
+    let found = each(parts.iter().map(|part| FileState::now(part))).await?;
+    let mut states = parts.iter().zip(found);
+    Ok(states.all(|(part, found)| {
+        let opened = FileState::opened(part);
+        found == opened || found.goes_on(&opened)
+    }))
+}
+
 /// The files of a session of a map, where they were when it was mapped.
 async fn mapped(runtime: &RuntimeEnv, manifest: &Manifest) -> Result<Recordings, Fault> {
     let found = Recordings::find(runtime, &[], Some(manifest)).await;

@@ -169,10 +169,20 @@ fn model(parts: &Parts) -> Result<Texts, Fault> {
 
 fn header(image: u32, camera: usize, camera_from_map: &Pose, row: &Features) -> String {
     let [x, y, z, qx, qy, qz, qw] = camera_from_map.to_array();
-    let name = format!("{}/{}/{}.jpg", row.session, row.camera, row.stamp.0);
-    // Names may not hold what separates words.
-    let name = name.replace(char::is_whitespace, "_");
+    let (session, camera_name) = (within(&row.session), within(&row.camera));
+    let name = format!("{session}/{camera_name}/{}.jpg", row.stamp.0);
     format!("{image} {qw} {qx} {qy} {qz} {x} {y} {z} {camera} {name}\n")
+}
+
+/// A name as a part of an image's: without what separates words, and leading nowhere but into a folder, as programs open what an
+/// image is called beneath that of all images.
+fn within(name: &str) -> String {
+    let parts = name.split('/').filter(|part| !part.is_empty());
+    let parts = parts.map(|part| match part {
+        "." | ".." => part.replace('.', "_"),
+        part => part.replace(char::is_whitespace, "_"),
+    });
+    parts.collect::<Vec<_>>().join("/")
 }
 
 /// The features of an image with their landmarks; sightings are noted in the landmarks' tracks.

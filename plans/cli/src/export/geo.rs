@@ -8,7 +8,10 @@ use arrow::json::writer::{JsonArray, WriterBuilder};
 use evermap_schemas::{Fault, Layer, Wkb};
 use serde_json::{Map, Value, json};
 
+use crate::earth::{Coordinates, Earth};
 use crate::ending::Failure;
+use crate::export::placed;
+use crate::output::RowWriter;
 
 const LOCAL: &str = "local metres in the map frame (x, y, z up), not longitude and latitude";
 /// What a file says whose coordinates are longitude and latitude.
@@ -23,32 +26,60 @@ pub struct Head<'a> {
     pub on_earth: bool,
 }
 
-/// Writes a feature collection: one feature a row, all other columns as its properties.
-pub fn write(
-    batches: &[RecordBatch],
-    layer: Option<&Layer>,
-    head: Head<'_>,
-    out: &mut impl Write,
-) -> Result<(), Failure> {
-    let coordinates = if head.on_earth { ON_EARTH } else { LOCAL };
-    let head = json!({ "name": head.title, "coordinates": coordinates }).to_string();
-    let head = head
-        .strip_prefix('{')
-        .and_then(|head| head.strip_suffix('}'))
-        .unwrap_or_default();
-    write!(
-        out,
-        "{{\"type\":\"FeatureCollection\",{head},\"features\":["
-    )?;
-    let mut first = true;
-    for batch in batches {
-        for feature in features(batch, layer)? {
-            out.write_all(if first { b"\n" } else { b",\n" })?;
-            first = false;
-            out.write_all(feature.to_string().as_bytes())?;
-        }
+/// A feature collection on its way out: one feature a row, all other columns as its properties. `layer` says which column
+/// is the geometry, `earth` where on earth its site lies.
+pub struct GeoJson<'a, W> {
+    layer: Option<&'a Layer>,
+    earth: &'a Earth,
+    out: W,
+    is_first: bool,
+}
+
+impl<'a, W: Write> GeoJson<'a, W> {
+    /// One with its head, and no feature yet.
+    ///
+    /// # Errors
+    /// That the output is closed or full.
+    pub fn begin(
+        head: Head<'_>,
+        layer: Option<&'a Layer>,
+        earth: &'a Earth,
+        mut out: W,
+    ) -> Result<Self, Failure> {
+        let coordinates = if head.on_earth { ON_EARTH } else { LOCAL };
+        let head = json!({ "name": head.title, "coordinates": coordinates }).to_string();
+        let head = head
+            .strip_prefix('{')
+            .and_then(|head| head.strip_suffix('}'))
+            .unwrap_or_default();
+        write!(
+            out,
+            "{{\"type\":\"FeatureCollection\",{head},\"features\":["
+        )?;
+        Ok(Self {
+            layer,
+            earth,
+            out,
+            is_first: true,
+        })
     }
-    Ok(out.write_all(b"\n]}\n")?)
+}
+
+impl<W: Write + Send> RowWriter for GeoJson<'_, W> {
+    fn write(&mut self, batch: &RecordBatch) -> Result<(), Failure> {
+        let batch = placed(batch, self.layer, self.earth, Coordinates::Degrees)?;
+        for feature in features(&batch, self.layer)? {
+            let between: &[u8] = if self.is_first { b"\n" } else { b",\n" };
+            self.is_first = false;
+            self.out.write_all(between)?;
+            self.out.write_all(feature.to_string().as_bytes())?;
+        }
+        Ok(())
+    }
+
+    fn finish(mut self: Box<Self>) -> Result<(), Failure> {
+        Ok(self.out.write_all(b"\n]}\n")?)
+    }
 }
 
 fn features(batch: &RecordBatch, layer: Option<&Layer>) -> Result<Vec<Value>, Fault> {
@@ -109,14 +140,14 @@ mod tests {
             geometry: Wkb::point([1.0, 2.0, 0.5]),
         };
         let rows = batch(vec![row.clone(), row]).unwrap();
-        let mut text = Vec::new();
-        write(
-            &[rows.slice(0, 1), rows.slice(1, 1)],
-            Some(&Intersection::layer()),
-            LOT,
-            &mut text,
-        )
-        .unwrap();
+        let (mut text, earth) = (Vec::<u8>::new(), Earth::default());
+        let layer = Intersection::layer();
+        let begun = GeoJson::begin(LOT, Some(&layer), &earth, &mut text);
+        let mut written = Box::new(begun.unwrap());
+        for batch in [rows.slice(0, 1), rows.slice(1, 1)] {
+            written.write(&batch).unwrap();
+        }
+        written.finish().unwrap();
         let value: Value = serde_json::from_slice(&text).unwrap();
         assert_eq!(value["type"], "FeatureCollection");
         assert!(
@@ -134,9 +165,7 @@ mod tests {
         assert_eq!(feature["properties"]["degree"], 3);
         assert!(feature["properties"].get("geometry").is_none());
         let plain = rows.project(&[0, 1]).unwrap();
-        assert!(matches!(
-            write(&[plain], None, LOT, &mut text),
-            Err(Failure::Fault(_))
-        ));
+        let mut other = GeoJson::begin(LOT, None, &earth, &mut text).unwrap();
+        assert!(matches!(other.write(&plain), Err(Failure::Fault(_))));
     }
 }

@@ -26,9 +26,8 @@ use evermap_schemas::{Fault, Layer};
 use crate::arguments::ExportArgs;
 use crate::earth::{Coordinates, Earth, beside, on_earth};
 use crate::ending::{DONE, Ending, Failure};
-use crate::export::geo::Head;
-pub use crate::export::geo::ON_EARTH;
-use crate::output::{CRS, Format, GEOMETRY, Sink, write, write_file};
+pub use crate::export::geo::{GeoJson, Head, ON_EARTH};
+use crate::output::{CRS, Format, GEOMETRY, RowWriter, Sink, write, write_file};
 use crate::reader::{MapReader, nothing, only, texts};
 
 /// What a layer is exported to.
@@ -201,16 +200,16 @@ async fn written(reader: &MapReader, layer: &str, args: &ExportArgs) -> Result<(
     }
 }
 
-/// The rows of a layer, with its geometries on earth where anything is known of it.
+/// Rows of a layer, with its geometries on earth where anything is known of it.
 fn placed(
-    batches: Vec<RecordBatch>,
+    batch: &RecordBatch,
     layer: Option<&Layer>,
     earth: &Earth,
     to: Coordinates,
-) -> Result<Vec<RecordBatch>, Fault> {
+) -> Result<RecordBatch, Fault> {
     match layer.map_or(Some(GEOMETRY), |layer| layer.geometry) {
-        Some(geometry) if !earth.is_empty() => on_earth(&batches, geometry, earth, to),
-        _ => Ok(batches),
+        Some(geometry) if !earth.is_empty() => on_earth(batch, geometry, earth, to),
+        _ => Ok(batch.clone()),
     }
 }
 
@@ -228,8 +227,8 @@ fn geoparquet(
         return Ok(batches);
     };
     let metadata = HashMap::from([(CRS.to_owned(), place.projjson().to_string())]);
-    let placed = placed(batches, layer, earth, Coordinates::Metres)?.into_iter();
-    let said = placed.map(|batch| {
+    let said = batches.iter().map(|batch| {
+        let batch = placed(batch, layer, earth, Coordinates::Metres)?;
         let schema = batch.schema().as_ref().clone();
         Ok(batch.with_schema(Arc::new(schema.with_metadata(metadata.clone())))?)
     });
@@ -246,14 +245,17 @@ pub fn geojson(
     layer: Option<&Layer>,
     title: &str,
     earth: &Earth,
-    out: &mut impl Write,
+    out: &mut (impl Write + Send),
 ) -> Result<(), Failure> {
     let head = Head {
         title,
         on_earth: earth.moves(&batches),
     };
-    let placed = placed(batches, layer, earth, Coordinates::Degrees)?;
-    geo::write(&placed, layer, head, out)
+    let mut features = Box::new(GeoJson::begin(head, layer, earth, out)?);
+    for batch in &batches {
+        features.write(batch)?;
+    }
+    features.finish()
 }
 
 async fn rows(format: Format, batches: Vec<RecordBatch>, out: &Path) -> Result<(), Failure> {

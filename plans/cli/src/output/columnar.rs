@@ -86,13 +86,6 @@ impl<'s> Parquet<'s> {
         columns.try_for_each(|(column, leaf)| column.write(leaf))
     }
 
-    fn held(&self) -> usize {
-        self.columns
-            .iter()
-            .map(ArrowColumnWriter::memory_size)
-            .sum()
-    }
-
     fn end_group(&mut self) -> Encoded<()> {
         if self.rows == 0 {
             return Ok(());
@@ -122,6 +115,13 @@ impl RowWriter for Parquet<'_> {
             self.end_group().map_err(failure)?;
         }
         Ok(())
+    }
+
+    fn held(&self) -> usize {
+        self.columns
+            .iter()
+            .map(ArrowColumnWriter::memory_size)
+            .sum()
     }
 
     fn finish(mut self: Box<Self>) -> Result<(), Failure> {

@@ -15,10 +15,10 @@ use futures::{Stream, StreamExt};
 
 pub use columnar::{CRS, GEOMETRY};
 pub use sink::{Sink, write_file};
+pub use writers::RowWriter;
 
 use crate::ending::Failure;
 use crate::output::readable::Cells;
-use crate::output::writers::RowWriter;
 
 /// How rows are written.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
@@ -96,13 +96,39 @@ async fn written(
             .next("name a file with --out, or redirect")
             .into());
     }
-    let mut writer: Box<dyn RowWriter + '_> = writers::open(format, cells, schema, sink)?;
+    let writer = writers::open(format, cells, schema, sink)?;
+    pour(rows, writer, |_| Ok(())).await
+}
+
+/// What writes rows in a format, as [`write()`] does.
+///
+/// # Errors
+/// Columns that the format has no type for, or that the output is closed or full.
+pub fn writer(
+    format: Format,
+    schema: SchemaRef,
+    sink: &mut Sink,
+) -> Result<Box<dyn RowWriter + '_>, Failure> {
+    writers::open(format, Cells::Long, schema, sink)
+}
+
+/// Writes rows as they come, to their end; how many there were. `keep` is told how many bytes are kept of them until more
+/// come, each time in place of those before, and may refuse it.
+///
+/// # Errors
+/// What the stream, the writer or `keep` says.
+pub async fn pour(
+    rows: impl Stream<Item = Result<RecordBatch, Fault>>,
+    mut writer: Box<dyn RowWriter + '_>,
+    keep: impl Fn(usize) -> Result<(), Fault>,
+) -> Result<u64, Failure> {
     let mut rows = std::pin::pin!(rows);
     let mut count = 0;
     while let Some(batch) = rows.next().await {
         let batch = batch?;
         count += batch.num_rows() as u64;
         writer.write(&batch)?;
+        keep(writer.held())?;
     }
     writer.finish()?;
     Ok(count)

@@ -1,10 +1,10 @@
 //! Where results go: standard output, or a file that is there whole or not at all.
 
-use std::io::{BufWriter, IsTerminal, Stdout, Write};
+use std::io::{BufWriter, IsTerminal, Seek, SeekFrom, Stdout, Write};
 use std::path::{Path, PathBuf};
 
 use evermap_schemas::Fault;
-use tempfile::NamedTempFile;
+use tempfile::{NamedTempFile, SpooledTempFile};
 
 use crate::ending::Failure;
 
@@ -17,8 +17,8 @@ pub enum Sink {
     Temporary(Box<BufWriter<NamedTempFile>>, PathBuf),
     /// Something that is no regular file: a pipe, a device.
     Special(BufWriter<std::fs::File>),
-    /// Memory.
-    Memory(Vec<u8>),
+    /// Memory as long as it is little, then a file without a name, which is gone when nobody has it open.
+    Spooled(BufWriter<SpooledTempFile>),
 }
 
 impl Sink {
@@ -76,12 +76,42 @@ impl Sink {
         path.map_or_else(|| Ok(Self::stdout()), Self::file)
     }
 
+    /// Memory for so many bytes; of more, a file without a name.
+    pub fn spooled(most: usize) -> Self {
+        Self::Spooled(BufWriter::new(SpooledTempFile::new(most)))
+    }
+
+    /// What was written to a sink of [`Sink::spooled`], to be read from its beginning on, and its bytes.
+    ///
+    /// # Errors
+    /// That the file is full or gone; a fault of ours for other sinks.
+    pub fn rewound(self) -> Result<(SpooledTempFile, u64), Failure> {
+        let Self::Spooled(file) = self else {
+            return Err(Fault::bug("what was written cannot be read again").into());
+        };
+        let file = file.into_inner();
+        let mut file = file.map_err(|error| Failure::from(error.into_error()))?;
+        let bytes = file.seek(SeekFrom::End(0))?;
+        file.rewind()?;
+        Ok((file, bytes))
+    }
+
+    /// All that was written to a sink of [`Sink::spooled`].
+    #[cfg(test)]
+    #[allow(clippy::unwrap_used)]
+    pub fn bytes(self) -> Vec<u8> {
+        let (mut file, _) = self.rewound().unwrap();
+        let mut bytes = Vec::new();
+        std::io::Read::read_to_end(&mut file, &mut bytes).unwrap();
+        bytes
+    }
+
     fn out(&mut self) -> &mut dyn Write {
         match self {
             Self::Stdout(out) => out,
             Self::Temporary(out, _) => out,
             Self::Special(out) => out,
-            Self::Memory(out) => out,
+            Self::Spooled(out) => out,
         }
     }
 
@@ -151,5 +181,20 @@ mod tests {
         write_file(&path, b"two").unwrap();
         assert_eq!(std::fs::read(&path).unwrap(), b"two");
         assert!(Sink::file(Path::new("/no/such/folder/a")).is_err());
+    }
+
+    #[test]
+    fn what_is_spooled_is_read_whole_from_memory_and_from_a_file() {
+        for (most, is_on_disk) in [(11, false), (10, true)] {
+            let mut sink = Sink::spooled(most);
+            sink.write_all(b"first, ").unwrap();
+            sink.flush().unwrap();
+            sink.write_all(b"last").unwrap();
+            let (mut file, bytes) = sink.rewound().unwrap();
+            assert_eq!((bytes, file.is_rolled()), (11, is_on_disk));
+            let mut text = String::new();
+            std::io::Read::read_to_string(&mut file, &mut text).unwrap();
+            assert_eq!(text, "first, last");
+        }
     }
 }

@@ -48,7 +48,7 @@ fn rows() -> RecordBatch {
 }
 
 async fn written(format: Format, batches: Vec<RecordBatch>) -> Vec<u8> {
-    let mut sink = Sink::Memory(Vec::new());
+    let mut sink = Sink::spooled(usize::MAX);
     let count = batches
         .iter()
         .map(|batch| batch.num_rows() as u64)
@@ -60,10 +60,7 @@ async fn written(format: Format, batches: Vec<RecordBatch>) -> Vec<u8> {
             .unwrap(),
         count
     );
-    match sink {
-        Sink::Memory(bytes) => bytes,
-        _ => Vec::new(),
-    }
+    sink.bytes()
 }
 
 async fn text(format: Format, batches: Vec<RecordBatch>) -> String {
@@ -185,7 +182,7 @@ async fn rows_of_other_types_than_their_file_says_are_refused() {
     let texts: ArrayRef = Arc::new(StringArray::from(vec!["5"]));
     let said = RecordBatch::try_from_iter([("x", texts)]).unwrap().schema();
     let found = RecordBatch::try_from_iter([("x", numbers)]).unwrap();
-    let mut sink = Sink::Memory(Vec::new());
+    let mut sink = Sink::spooled(usize::MAX);
     let rows = futures::stream::iter([Ok(found)]);
     let failure = write(Format::Arrow, said, rows, &mut sink).await;
     let Err(Failure::Fault(fault)) = failure else {

@@ -26,6 +26,11 @@ pub trait RowWriter: Send {
     /// Takes the next rows.
     fn write(&mut self, batch: &RecordBatch) -> Result<(), Failure>;
 
+    /// Bytes that are kept of rows until more of them come.
+    fn held(&self) -> usize {
+        0
+    }
+
     /// Writes what ends the text.
     fn finish(self: Box<Self>) -> Result<(), Failure>;
 }
@@ -92,6 +97,10 @@ impl RowWriter for Table<'_> {
         } else {
             Ok(())
         }
+    }
+
+    fn held(&self) -> usize {
+        self.bytes
     }
 
     fn finish(mut self: Box<Self>) -> Result<(), Failure> {

@@ -1,12 +1,14 @@
 //! Who may come in, and by which door.
 //!
 //! Without a file of users a server listens on loopback alone, and believes who is on this machine. With it every
-//! request needs a name and password or a token, and beyond loopback TLS as well.
+//! request needs a name and password or a token, and beyond loopback TLS as well. Who guesses at these waits for all
+//! others who do.
 
 use std::collections::BTreeMap;
 use std::net::{IpAddr, SocketAddr};
 use std::path::Path;
 use std::sync::Arc;
+use std::time::Duration;
 
 use async_trait::async_trait;
 use base64::Engine;
@@ -16,6 +18,7 @@ use pgwire::api::auth::sasl::scram::{SCRAM_ITERATIONS, gen_salted_password};
 use pgwire::api::auth::{AuthSource, LoginInfo, Password};
 use pgwire::error::PgWireResult;
 use serde::Deserialize;
+use tokio::sync::Mutex;
 use tokio_rustls::TlsAcceptor;
 use tokio_rustls::rustls::ServerConfig;
 use tokio_rustls::rustls::pki_types::pem::PemObject;
@@ -28,7 +31,9 @@ use crate::arguments::ServeArgs;
 pub struct Access {
     users: Option<Arc<Users>>,
     /// What makes connections private.
-    pub tls: Option<TlsAcceptor>,
+    tls: Option<Arc<ServerConfig>>,
+    /// Held by who is told that a secret is wrong.
+    wrong: Arc<Mutex<()>>,
 }
 
 /// The users of a file. Passwords are kept salted, tokens as digests.
@@ -38,7 +43,7 @@ pub struct Users {
     key: [u8; 32],
     salt: Vec<u8>,
     salted: BTreeMap<String, Vec<u8>>,
-    /// Digests of tokens, and of `name:password`, with the user's name.
+    /// Digests of tokens, and of `name:password`, each with how it is said, and the user's name.
     secrets: Vec<(blake3::Hash, String)>,
 }
 
@@ -65,6 +70,13 @@ struct User {
 /// Letters of a token or password at least.
 const SHORTEST_SECRET: usize = 8;
 
+/// How long it takes to be told that a secret is wrong.
+const WRONG: Duration = Duration::from_millis(50);
+
+/// How a token is said in HTTP, and how a name with its password.
+const BEARER: &str = "bearer";
+const BASIC: &str = "basic";
+
 impl Access {
     /// Who may come in, as the command line says.
     ///
@@ -74,12 +86,13 @@ impl Access {
     pub fn new(args: &ServeArgs) -> Result<Self, Fault> {
         let users = args.users.as_deref().map(Users::read).transpose()?;
         let tls = match (&args.certificate, &args.key) {
-            (Some(certificate), Some(key)) => Some(acceptor(certificate, key)?),
+            (Some(certificate), Some(key)) => Some(Arc::new(private(certificate, key)?)),
             _ => None,
         };
         let access = Self {
             users: users.map(Arc::new),
             tls,
+            wrong: Arc::default(),
         };
         for address in [args.http, args.postgres] {
             access.fits(address)?;
@@ -110,6 +123,27 @@ impl Access {
             // A page of elsewhere whose name was made to lead here would read maps through a person's browser.
             None => host.is_none_or(is_this_machine).then_some(Who(None)),
         }
+    }
+
+    /// Whether nobody gets in without TLS.
+    pub fn needs_tls(&self) -> bool {
+        self.tls.is_some()
+    }
+
+    /// What makes connections private, where they are, of those who speak one of these protocols or do not say which: what
+    /// is meant for one door is no message at another, and gRPC insists on being asked.
+    pub fn tls(&self, protocols: &[&str]) -> Option<TlsAcceptor> {
+        let mut config = ServerConfig::clone(self.tls.as_ref()?);
+        let names = protocols.iter().map(|name| name.as_bytes().to_vec());
+        config.alpn_protocols = names.collect();
+        Some(TlsAcceptor::from(Arc::new(config)))
+    }
+
+    /// Waits before somebody is told that a secret is wrong, behind all others who are: so there are few guesses in a
+    /// second, by however many connections. Who says a right one waits for nobody.
+    pub async fn hold_up(&self) {
+        let _turn = self.wrong.lock().await;
+        tokio::time::sleep(WRONG).await;
     }
 
     /// The users; `None` where everybody on this machine may come in.
@@ -163,6 +197,12 @@ impl Users {
 
     fn add(&mut self, user: User) -> Result<(), Fault> {
         let name = user.name;
+        if name.contains(':') {
+            // In HTTP, what is behind it is the password.
+            return Err(Fault::user(format!(
+                "expected the name of a user without `:`, found {name}"
+            )));
+        }
         for (what, secret) in [("password", &user.password), ("token", &user.token)] {
             if secret
                 .as_ref()
@@ -180,12 +220,12 @@ impl Users {
         }
         if let Some(token) = user.token {
             self.secrets
-                .push((blake3::hash(token.as_bytes()), name.clone()));
+                .push((digest(BEARER, token.as_bytes()), name.clone()));
         }
         if let Some(password) = user.password {
             let pair = format!("{name}:{password}");
             self.secrets
-                .push((blake3::hash(pair.as_bytes()), name.clone()));
+                .push((digest(BASIC, pair.as_bytes()), name.clone()));
             let salted = gen_salted_password(&password, &self.salt, SCRAM_ITERATIONS);
             if self.salted.insert(name.clone(), salted).is_some() {
                 return Err(Fault::user(format!(
@@ -200,18 +240,24 @@ impl Users {
     /// how much of it is right: digests are compared, each to its end.
     fn know<'u>(&'u self, header: &str) -> Option<&'u str> {
         let (scheme, value) = header.split_once(' ')?;
-        let secret = match scheme.to_ascii_lowercase().as_str() {
-            "bearer" => value.trim().as_bytes().to_vec(),
-            "basic" => STANDARD.decode(value.trim()).unwrap_or_default(),
+        let found = match scheme.to_ascii_lowercase().as_str() {
+            BEARER => digest(BEARER, value.trim().as_bytes()),
+            BASIC => digest(BASIC, &STANDARD.decode(value.trim()).unwrap_or_default()),
             _ => return None,
         };
-        let found = blake3::hash(&secret);
         let compared = |user, (known, name): &'u (blake3::Hash, String)| match *known == found {
             true => Some(name.as_str()),
             false => user,
         };
         self.secrets.iter().fold(None, compared)
     }
+}
+
+/// What is kept of a secret that is said in one way.
+fn digest(scheme: &str, secret: &[u8]) -> blake3::Hash {
+    let mut hasher = blake3::Hasher::new();
+    hasher.update(scheme.as_bytes()).update(b" ").update(secret);
+    hasher.finalize()
 }
 
 #[async_trait]
@@ -248,22 +294,21 @@ fn is_private(_: &Path) -> Result<(), Fault> {
     Ok(())
 }
 
-fn acceptor(certificate: &Path, key: &Path) -> Result<TlsAcceptor, Fault> {
+fn private(certificate: &Path, key: &Path) -> Result<ServerConfig, Fault> {
     let refused = |path: &Path, error: &dyn std::fmt::Display| {
         Fault::user(format!("expected PEM, found: {error}")).at(path.display().to_string())
     };
     let chain = CertificateDer::pem_file_iter(certificate)
         .and_then(Iterator::collect::<Result<Vec<_>, _>>)
         .map_err(|error| refused(certificate, &error))?;
-    let private = PrivateKeyDer::from_pem_file(key).map_err(|error| refused(key, &error))?;
+    let secret = PrivateKeyDer::from_pem_file(key).map_err(|error| refused(key, &error))?;
     let provider = Arc::new(tokio_rustls::rustls::crypto::ring::default_provider());
-    let config = ServerConfig::builder_with_provider(provider)
+    ServerConfig::builder_with_provider(provider)
         .with_safe_default_protocol_versions()
         .map_err(|error| Fault::bug(format!("no TLS: {error}")))?
         .with_no_client_auth()
-        .with_single_cert(chain, private)
-        .map_err(|error| refused(certificate, &error))?;
-    Ok(TlsAcceptor::from(Arc::new(config)))
+        .with_single_cert(chain, secret)
+        .map_err(|error| refused(certificate, &error))
 }
 
 #[cfg(test)]
@@ -289,6 +334,8 @@ mod tests {
             &basic("robot:t0ken-t0ken"),
             // What is right in one place opens no other.
             "Bearer byron-1815",
+            "Bearer ada:byron-1815",
+            &basic("t0ken-t0ken"),
         ] {
             assert_eq!(users.know(wrong), None, "{wrong}");
         }
@@ -301,11 +348,28 @@ mod tests {
             ("users: [{name: ada}]", "password or a token"),
             ("users: [{name: ada, password: short}]", "8 letters"),
             ("users: [{name: ada, pasword: long-enough}]", "pasword"),
+            (
+                "users: [{name: 'ada:byron', password: long-enough}]",
+                "without `:`",
+            ),
             ("ada: byron", "list of users"),
         ] {
             let fault = Users::parse(text).unwrap_err().to_string();
             assert!(fault.contains(says), "{text}: {fault}");
         }
+    }
+
+    #[tokio::test]
+    async fn who_guesses_waits_for_all_others_who_do() {
+        let access = Access {
+            users: None,
+            tls: None,
+            wrong: Arc::default(),
+        };
+        let begun = std::time::Instant::now();
+        let guesses = (0..6).map(|_| access.hold_up());
+        futures::future::join_all(guesses).await;
+        assert!(begun.elapsed() >= 6 * WRONG, "{:?}", begun.elapsed());
     }
 
     #[test]

@@ -158,18 +158,6 @@ impl Turn {
         items.chain(end).boxed()
     }
 
-    /// Memory for items that wait for who reads them.
-    fn reserved(&self, bytes: usize) -> Result<MemoryReservation, Fault> {
-        let memory = MemoryConsumer::new("an answer that is being read").register(&self.memory);
-        let full = |fault: Fault| {
-            fault.next(
-                "read answers as they come, ask for fewer at once, or start the server with a larger --memory",
-            )
-        };
-        memory.try_grow(bytes).or_fault().map_err(full)?;
-        Ok(memory)
-    }
-
     /// Hands items on until there are no more, one is an error, or nobody wants them any longer.
     async fn hand_on<T, E>(
         &self,
@@ -191,7 +179,8 @@ impl Turn {
             if count > self.rows {
                 return Err(self.too_many());
             }
-            let memory = self.reserved(all.bytes)?;
+            let memory = Kept::of(&self.memory);
+            memory.takes(all.bytes)?;
             let is_end = some.iter().any(Result::is_err);
             let handed = Handed {
                 items: some,
@@ -239,11 +228,34 @@ const GRACE: Duration = Duration::from_secs(1);
 /// Items on their way to who reads them, and the memory that they take.
 struct Handed<T, E> {
     items: Vec<Result<T, E>>,
-    memory: MemoryReservation,
+    memory: Kept,
+}
+
+/// The memory that is taken by what an answer is made of, or made into, until it is sent.
+pub struct Kept(MemoryReservation);
+
+impl Kept {
+    /// That of one answer among others, which takes nothing yet.
+    pub fn of(memory: &Arc<dyn MemoryPool>) -> Self {
+        Self(MemoryConsumer::new("an answer that is being read").register(memory))
+    }
+
+    /// Takes so many bytes in place of those that it took.
+    ///
+    /// # Errors
+    /// A resource fault where there are not as many.
+    pub fn takes(&self, bytes: usize) -> Result<(), Fault> {
+        let full = |fault: Fault| {
+            fault.next(
+                "read answers as they come, ask for fewer at once, or start the server with a larger --memory",
+            )
+        };
+        self.0.try_resize(bytes).or_fault().map_err(full)
+    }
 }
 
 /// The memory of the items that were asked for last.
-type Held = Option<MemoryReservation>;
+type Held = Option<Kept>;
 
 /// Where items come from.
 type Given<T, E> = mpsc::Receiver<Handed<T, E>>;
@@ -254,6 +266,8 @@ pub struct Answer {
     pub schema: SchemaRef,
     /// They, within bounds.
     pub rows: BoxStream<'static, Result<RecordBatch, Fault>>,
+    /// For what is made of them and kept, beside those that were asked for last.
+    pub memory: Kept,
 }
 
 /// Answers a query that only reads.
@@ -277,6 +291,7 @@ pub async fn answer(opened: &Opened, query: &str, bounds: &Bounds) -> Result<Ans
     let rows = stream.map(|batch| batch.map_err(|error| fault_of(&error)));
     Ok(Answer {
         schema,
+        memory: Kept::of(&bounds.memory),
         rows: turn.bounded(rows, 1, Size::of, |fault| fault),
     })
 }

@@ -66,7 +66,10 @@ pub async fn serve(args: &ServeArgs) -> Ending {
     let teaching = teaching.map(Arc::new);
     let (web, web_address) = listen(args.http).await?;
     let (postgres, postgres_address) = listen(args.postgres).await?;
-    let scheme = access.tls.as_ref().map_or("http", |_| "https");
+    let [scheme, calls, live] = match access.needs_tls() {
+        true => ["https", "grpc+tls", "wss"],
+        false => ["http", "grpc", "ws"],
+    };
     let names = maps.all().map(|map| map.name.as_str());
     let names = names.collect::<Vec<_>>().join(", ");
     let served = match &args.teach {
@@ -75,8 +78,7 @@ pub async fn serve(args: &ServeArgs) -> Ending {
     };
     line(&format!("serving {names}, {served}"));
     line(&format!("page and HTTP: {scheme}://{web_address}/"));
-    line(&format!("Flight SQL:    grpc://{web_address}"));
-    let live = access.tls.as_ref().map_or("ws", |_| "wss");
+    line(&format!("Flight SQL:    {calls}://{web_address}"));
     line(&format!("Foxglove:      {live}://{web_address}/foxglove"));
     let first = maps
         .all()

@@ -27,6 +27,16 @@ const WAITING: usize = 2048;
 /// need the rest.
 const PART: usize = 3;
 
+/// How long nothing may be heard of a client's machine until it is asked whether it is there: one that is switched off says no
+/// word of it, and would keep its place for ever.
+const QUIET: Duration = Duration::from_secs(60);
+
+/// How often it is asked then.
+const ASKED_EVERY: Duration = Duration::from_secs(10);
+
+/// How many times without an answer.
+const ASKED_TIMES: u32 = 6;
+
 /// How long network and clocks may be left alone by threads that compute.
 const ATTENDED_EVERY: Duration = Duration::from_millis(50);
 
@@ -44,10 +54,22 @@ where
             continue;
         };
         if let Ok(place) = Arc::clone(&places).try_acquire_owned() {
+            if let Err(error) = notice_when_gone(&socket) {
+                tracing::debug!("a client that goes without a word is not noticed: {error}");
+            }
             let asked = Asked::default();
             attend(place, asked.clone(), converse(socket, asked));
         }
     }
+}
+
+/// Has the system ask whether a client's machine is there, and end the connection where it is not.
+fn notice_when_gone(socket: &TcpStream) -> rustix::io::Result<()> {
+    use rustix::net::sockopt;
+    sockopt::set_tcp_keepidle(socket, QUIET)?;
+    sockopt::set_tcp_keepintvl(socket, ASKED_EVERY)?;
+    sockopt::set_tcp_keepcnt(socket, ASKED_TIMES)?;
+    sockopt::set_socket_keepalive(socket, true)
 }
 
 /// Connections at once of one protocol that have not come in yet, or that speak HTTP; more are closed. Fewer than files may be open,
@@ -233,6 +255,21 @@ mod tests {
         sender.send_to(&[1], address).unwrap();
         let came_in_time = std::thread::spawn(move || runtime.block_on(deadline).unwrap());
         assert!(came_in_time.join().unwrap());
+    }
+
+    #[tokio::test]
+    #[allow(clippy::unwrap_used)]
+    async fn clients_that_go_without_a_word_are_noticed() {
+        use rustix::net::sockopt;
+        let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
+        let client = TcpStream::connect(listener.local_addr().unwrap());
+        let _client = client.await.unwrap();
+        let (socket, _) = listener.accept().await.unwrap();
+        assert!(!sockopt::socket_keepalive(&socket).unwrap());
+        notice_when_gone(&socket).unwrap();
+        assert!(sockopt::socket_keepalive(&socket).unwrap());
+        assert_eq!(sockopt::tcp_keepidle(&socket).unwrap(), QUIET);
+        assert_eq!(sockopt::tcp_keepintvl(&socket).unwrap(), ASKED_EVERY);
     }
 
     #[test]

@@ -12,7 +12,7 @@ use tokio::sync::Mutex;
 use url::Url;
 
 use crate::error::{OrFault, no_map};
-use crate::fingerprint::{self, open_mapped};
+use crate::fingerprint::{self, open_mapped, stands};
 use crate::map::artifact::read_in_order;
 use crate::map::damage::Damage;
 use crate::map::receipt::{Artifact, RECEIPTS};
@@ -175,22 +175,37 @@ impl Map {
         rows.collect().await.or_fault()
     }
 
-    /// The artifacts of a published layer, which are as they were written as far as [`Sound::check`] tells.
-    pub(super) async fn checked(&self, layer: &str) -> Result<&[Artifact], Fault> {
+    /// The artifacts of a published layer.
+    pub(super) fn artifacts(&self, layer: &str) -> &[Artifact] {
         let stored = self.published(layer);
-        let artifacts = stored.map_or(&[][..], |stored| &stored.artifacts);
+        stored.map_or(&[][..], |stored| &stored.artifacts)
+    }
+
+    /// The same, which are as they were written as far as [`Sound::check`] tells.
+    pub(super) async fn checked(&self, layer: &str) -> Result<&[Artifact], Fault> {
+        let artifacts = self.artifacts(layer);
         let published = &self.version.published;
         Sound::check(&self.store, published, artifacts, &self.known).await?;
         Ok(artifacts)
     }
 
-    /// The log of a session, opened once, where it was when it was mapped; `None` for a session that is not in the map.
+    /// The log of a session, where it was when it was mapped; `None` for a session that is not in the map. It is opened once,
+    /// and again where other files are in the place of those that were: what is open reads none of theirs.
     ///
     /// # Errors
     /// A user fault for a log that is gone, or as [`Dataset::open`].
     pub async fn log(&self, session: &str, runtime: &RuntimeEnv) -> Result<Option<Dataset>, Fault> {
+        let known = self.logs.lock().await.get(session).cloned();
+        if let Some(log) = known
+            && stands(&log).await?
+        {
+            return Ok(Some(log));
+        }
         let mut logs = self.logs.lock().await;
-        if let Some(log) = logs.get(session) {
+        // Somebody else may have opened it meanwhile.
+        if let Some(log) = logs.get(session)
+            && stands(log).await?
+        {
             return Ok(Some(log.clone()));
         }
         let Some(MappedSession { log, manifest }) = self.session(session) else {

@@ -16,7 +16,7 @@ use crate::fingerprint::FileState;
 use crate::locked::locked;
 use crate::map::damage::{Damage, is_whole};
 use crate::map::receipt::{Artifact, Receipt};
-use crate::map::store::{ARTIFACTS, Store, each};
+use crate::map::store::{ARTIFACTS, Store, each, gone};
 
 /// Where it is remembered.
 pub const NAME: &str = "sound.json";
@@ -99,10 +99,12 @@ impl<'s> Sound<'s> {
         let metas = each(names.iter().map(|name| store.meta(name))).await?;
         let (mut written, mut touched) = (Vec::new(), Vec::new());
         for (artifact, meta) in artifacts.iter().zip(metas) {
-            if let Some(damage) = artifact.size_differs(meta.as_ref().map(|meta| meta.size)) {
+            let Some(meta) = meta else {
+                return Err(gone(&store.path(&artifact.name())));
+            };
+            if let Some(damage) = artifact.size_differs(Some(meta.size)) {
                 return Err(damage.into());
             }
-            let Some(meta) = meta else { continue };
             let state = FileState::of(store.url().as_str(), &meta);
             if is_before(state.changed()) || known.has(artifact, &state) {
                 continue;

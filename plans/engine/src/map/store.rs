@@ -36,6 +36,7 @@ use evermap_schemas::Fault;
 
 pub use crate::map::local::TEMPORARY;
 pub use files::ARTIFACTS;
+pub(super) use files::gone;
 
 mod files;
 

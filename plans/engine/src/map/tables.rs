@@ -3,6 +3,7 @@
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
+use std::time::{Duration, Instant};
 
 use arrow::datatypes::SchemaRef;
 use async_trait::async_trait;
@@ -14,7 +15,7 @@ use evermap_contract::Registry;
 use evermap_language::{listed, nearest};
 use evermap_schemas::dictionary::{ColumnInfo, columns};
 use evermap_schemas::{Fault, Layer, LayerRow, batch, layers};
-use tokio::sync::OnceCell;
+use tokio::sync::{Mutex, OnceCell};
 
 use crate::conform::declared;
 use crate::error::{OrFault, external};
@@ -36,8 +37,19 @@ pub struct Tables {
     /// Opens tables; it has none itself.
     reading: SessionContext,
     /// The tables by name, those open that were asked for.
-    tables: BTreeMap<String, OnceCell<Arc<dyn TableProvider>>>,
+    tables: BTreeMap<String, Table>,
 }
+
+#[derive(Default)]
+struct Table {
+    rows: OnceCell<Arc<dyn TableProvider>>,
+    /// When its layer's files were last found to be what was written.
+    checked: Mutex<Option<Instant>>,
+}
+
+/// How long the files of a layer that is open are believed to be what they were, so that queries one after the other do not
+/// each ask a store of objects for all of them.
+const BELIEVED: Duration = Duration::from_secs(1);
 
 /// What a map says of itself. No step makes layers of these names; one that an older evermap made is hidden behind them.
 pub(crate) fn own() -> impl Iterator<Item = Layer> {
@@ -82,7 +94,7 @@ impl Tables {
             names.push(layer.clone());
         }
         names.extend(own().map(|layer| layer.name.to_owned()));
-        let tables = names.into_iter().map(|name| (name, OnceCell::new()));
+        let tables = names.into_iter().map(|name| (name, Table::default()));
         Self {
             tables: tables.collect(),
             registry: registry.clone(),
@@ -145,10 +157,25 @@ impl Tables {
     }
 
     async fn opened(&self, name: &str) -> Result<Option<&Arc<dyn TableProvider>>, Fault> {
-        let Some(cell) = self.tables.get(name) else {
+        let Some(table) = self.tables.get(name) else {
             return Ok(None);
         };
-        cell.get_or_try_init(|| self.open(name)).await.map(Some)
+        if own_named(name).is_none() {
+            self.check(table, self.layer_of(name)).await?;
+        }
+        let opened = table.rows.get_or_try_init(|| self.open(name));
+        opened.await.map(Some)
+    }
+
+    /// That the files of a table's layer are what was written, also where they were replaced since it is open.
+    async fn check(&self, table: &Table, layer: &str) -> Result<(), Fault> {
+        let mut checked = table.checked.lock().await;
+        if checked.is_none_or(|at| at.elapsed() > BELIEVED) {
+            let found = self.map.checked(layer).await;
+            found.map_err(|fault| in_layer(fault, layer))?;
+            *checked = Some(Instant::now());
+        }
+        Ok(())
     }
 
     async fn open(&self, name: &str) -> Result<Arc<dyn TableProvider>, Fault> {
@@ -176,12 +203,9 @@ impl Tables {
     }
 
     async fn rows(&self, layer: &str) -> Result<DataFrame, Fault> {
-        let rows = async {
-            let artifacts = self.map.checked(layer).await?.iter().map(Artifact::name);
-            read_files(&self.reading, &self.map.store, artifacts, None).await
-        };
-        let rows = rows.await;
-        rows.map_err(|fault| fault.at(format!("layer {layer}")))
+        let artifacts = self.map.artifacts(layer).iter().map(Artifact::name);
+        let rows = read_files(&self.reading, &self.map.store, artifacts, None).await;
+        rows.map_err(|fault| in_layer(fault, layer))
     }
 
     /// The columns of a layer as its files describe them, and as it is declared.
@@ -191,7 +215,7 @@ impl Tables {
             return Ok(None);
         };
         let found = artifact::described(&self.reading, &self.map.store, first).await;
-        let found = found.map_err(|fault| fault.at(format!("layer {layer}")))?;
+        let found = found.map_err(|fault| in_layer(fault, layer))?;
         Ok(Some(match self.declaration(layer) {
             Some(layer) => declared(&found, &layer),
             None => found,
@@ -255,6 +279,10 @@ impl Tables {
         // Older files have fewer columns.
         read_files(context, store, whole, Some(&none.schema())).await
     }
+}
+
+fn in_layer(fault: Fault, layer: &str) -> Fault {
+    fault.at(format!("layer {layer}"))
 }
 
 #[async_trait]

@@ -77,22 +77,15 @@ fn checked(binary: BinaryExpr, schema: &DFSchema) -> Result<Transformed<Expr>> {
     let BinaryExpr { left, op, right } = binary;
     let longer = chain(&left).and_then(|chain| chain.then(op));
     let starts = matches!(op, Operator::Plus | Operator::Minus | Operator::Multiply);
-    let result = match (longer.is_some() || starts)
-        .then(|| type_of(&left, schema))
-        .flatten()
-    {
-        Some(result)
-            if result.is_integer() && type_of(&right, schema).as_ref() == Some(&result) =>
-        {
-            result
-        }
-        _ => {
-            return Ok(Transformed::no(Expr::BinaryExpr(BinaryExpr {
-                left,
-                op,
-                right,
-            })));
-        }
+    // Of `a + b + c` the right side is short, and the left one would be read anew by each operator.
+    let right_type = (longer.is_some() || starts)
+        .then(|| type_of(&right, schema))
+        .flatten();
+    let result = right_type
+        .filter(|found| found.is_integer() && type_of(&left, schema).as_ref() == Some(found));
+    let Some(result) = result else {
+        let binary = BinaryExpr { left, op, right };
+        return Ok(Transformed::no(Expr::BinaryExpr(binary)));
     };
     Ok(match (longer, *left) {
         (Some(longer), Expr::ScalarFunction(call)) => {

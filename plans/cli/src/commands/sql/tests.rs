@@ -46,7 +46,7 @@ async fn queries_only_read() {
         ("SHOW TABLES", true),
         ("WITH a AS (SELECT 1 AS x) SELECT x FROM a", true),
     ] {
-        let mut sink = Sink::Memory(Vec::new());
+        let mut sink = Sink::spooled(usize::MAX);
         let statement = statements(query).unwrap().remove(0);
         let ran = tables.run(statement, Format::Csv, &mut sink).await;
         assert_eq!(ran.is_ok(), reads, "{query}: {ran:?}");
@@ -86,11 +86,10 @@ async fn results_have_a_header_even_without_rows() {
         ("SELECT 1 AS a, 'x' AS b", "a,b\n1,x\n"),
         ("SELECT 1 AS a WHERE false", "a\n"),
     ] {
-        let mut sink = Sink::Memory(Vec::new());
+        let mut sink = Sink::spooled(usize::MAX);
         let statement = statements(query).unwrap().remove(0);
         tables.run(statement, Format::Csv, &mut sink).await.unwrap();
-        let Sink::Memory(bytes) = sink else { return };
-        assert_eq!(String::from_utf8(bytes).unwrap(), expected);
+        assert_eq!(String::from_utf8(sink.bytes()).unwrap(), expected);
     }
 }
 
@@ -106,12 +105,12 @@ async fn files_have_the_types_of_their_rows() {
         CAST(bytes AS DOUBLE) / 1024 AS wanted FROM (SELECT CAST(5120 AS BIGINT UNSIGNED) AS bytes)";
     let (schema, batches) = tables.ask(query).await.unwrap();
     assert_eq!(schema.fields(), batches[0].schema_ref().fields());
-    let mut sink = Sink::Memory(Vec::new());
+    let mut sink = Sink::spooled(usize::MAX);
     let statement = statements(query).unwrap().remove(0);
     let ran = tables.run(statement, Format::Arrow, &mut sink).await;
     ran.unwrap();
-    let Sink::Memory(bytes) = sink else { return };
-    let read = arrow::ipc::reader::FileReader::try_new(std::io::Cursor::new(bytes), None);
+    let bytes = std::io::Cursor::new(sink.bytes());
+    let read = arrow::ipc::reader::FileReader::try_new(bytes, None);
     let read: Vec<RecordBatch> = read.unwrap().map(Result::unwrap).collect();
     assert_eq!(read, batches);
     let values = read[0].columns().iter();
@@ -120,7 +119,7 @@ async fn files_have_the_types_of_their_rows() {
         .map(|column| column.as_primitive::<Float64Type>().value(0))
         .collect();
     assert_eq!(values, [5.0, 5121.0, 5.0]);
-    let mut sink = Sink::Memory(Vec::new());
+    let mut sink = Sink::spooled(usize::MAX);
     let statement = statements(query).unwrap().remove(0);
     let ran = tables.run(statement, Format::Parquet, &mut sink).await;
     assert_eq!(ran.unwrap(), 1);

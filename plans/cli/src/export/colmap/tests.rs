@@ -114,6 +114,20 @@ fn a_landmark_lies_where_its_image_shows_it() {
 }
 
 #[test]
+fn names_of_images_lead_nowhere_but_into_their_folder() {
+    for (name, expected) in [
+        ("front", "front"),
+        ("front left", "front_left"),
+        ("/rig/front", "rig/front"),
+        ("../../etc", "__/__/etc"),
+        ("a\n1 2/.", "a_1_2/_"),
+        ("..a", "..a"),
+    ] {
+        assert_eq!(within(name), expected, "{name:?}");
+    }
+}
+
+#[test]
 fn lenses_have_colmaps_names_and_corners() {
     assert_eq!(
         lens(&fisheye()).unwrap(),

@@ -1,5 +1,6 @@
 //! One connection: requests are heard, answers given, until its client goes, or nothing moves any longer.
 
+use axum::http::Request;
 use axum::{BoxError, Router};
 use futures::TryFutureExt;
 use hyper::body::Incoming;
@@ -11,9 +12,25 @@ use tokio::io::{AsyncRead, AsyncWrite};
 use tokio::net::TcpStream;
 use tokio_rustls::TlsAcceptor;
 
+use crate::serve::access::Access;
 use crate::serve::http::given::Given;
 use crate::serve::http::heard::Heard;
+use crate::serve::http::who;
 use crate::serve::patience::{Asked, Exchanges};
+
+/// Bytes of the head of a request beyond which no more are awaited, by HTTP/1: a query in an address fits. By HTTP/2 it is 16 KiB.
+const HEAD: usize = 128 << 10;
+
+/// What all connections lead to.
+#[derive(Clone)]
+pub struct Door {
+    /// What makes them private.
+    pub tls: Option<TlsAcceptor>,
+    /// Who may come in.
+    pub access: Access,
+    /// What answers.
+    pub router: Router,
+}
 
 /// Shakes hands, where connections are private, and answers until the client goes, or is sent away.
 ///
@@ -21,28 +38,43 @@ use crate::serve::patience::{Asked, Exchanges};
 /// What ends a connection before its time.
 pub async fn converse(
     socket: TcpStream,
-    tls: Option<TlsAcceptor>,
-    router: Router,
+    door: Door,
     asked: Asked,
     exchanges: Exchanges,
 ) -> Result<(), BoxError> {
+    let Door {
+        tls,
+        access,
+        router,
+    } = door;
+    let may_come_in = move |request: &Request<Incoming>| who(&access, request).is_some();
     match tls {
-        None => answered(socket, router, asked, exchanges).await,
-        Some(tls) => answered(tls.accept(socket).await?, router, asked, exchanges).await,
+        None => answered(socket, router, may_come_in, asked, exchanges).await,
+        Some(tls) => {
+            let private = tls.accept(socket).await?;
+            answered(private, router, may_come_in, asked, exchanges).await
+        }
     }
 }
 
 async fn answered<I: AsyncRead + AsyncWrite + Unpin + Send + 'static>(
     io: I,
     router: Router,
+    may_come_in: impl Fn(&Request<Incoming>) -> bool + Send + Sync + 'static,
     asked: Asked,
     exchanges: Exchanges,
 ) -> Result<(), BoxError> {
-    let builder = Builder::new(TokioExecutor::new());
+    let mut builder = Builder::new(TokioExecutor::new());
+    builder.http1().max_buf_size(HEAD);
     let answers = TowerToHyperService::new(router);
     let begun = exchanges.clone();
-    let service = service_fn(move |request: axum::http::Request<Incoming>| {
-        let (asked, exchange) = (asked.clone(), begun.begin());
+    let service = service_fn(move |request: Request<Incoming>| {
+        // Who may not come in has asked for nothing, and does not stay longer than who says nothing.
+        let asked = match may_come_in(&request) {
+            true => asked.clone(),
+            false => Asked::default(),
+        };
+        let exchange = begun.begin();
         let answer = answers.call(request.map(|body| Heard::new(body, asked)));
         answer.map_ok(|answer| answer.map(|body| Given::new(body, exchange)))
     });
@@ -80,7 +112,8 @@ mod tests {
             .route("/m", get(|| async { vec![0_u8; 1 << 20] }));
         let (mut client, server) = tokio::io::duplex(1 << 20);
         let exchanges = Exchanges::resting(IDLE, 6 * IDLE);
-        tokio::spawn(answered(server, router, Asked::default(), exchanges));
+        let all = |_: &Request<Incoming>| true;
+        tokio::spawn(answered(server, router, all, Asked::default(), exchanges));
         let begun = Instant::now();
         client.write_all(message).await.unwrap();
         let mut given = Vec::new();
@@ -122,6 +155,46 @@ mod tests {
         assert!(has(&asks_once(&by_http2("/l")).await.0, b"late"));
         let by_http1 = b"GET /l HTTP/1.1\r\nHost: a\r\n\r\n";
         assert!(has(&asks_once(by_http1).await.0, b"late"));
+    }
+
+    #[tokio::test]
+    async fn a_head_without_an_end_is_not_kept() {
+        let head = |letters: usize| {
+            let address = "a".repeat(60_000);
+            let more = "b".repeat(letters);
+            format!("GET /?{address} HTTP/1.1\r\nHost: a\r\nMore: {more}\r\n\r\n")
+        };
+        let (given, _) = asks_once(head(1000).as_bytes()).await;
+        assert!(has(&given, b"soon"), "{given:?}");
+        let (given, _) = asks_once(head(3 * HEAD).as_bytes()).await;
+        assert!(has(&given, b" 431 "), "{given:?}");
+    }
+
+    /// However often it asks.
+    #[tokio::test]
+    async fn who_may_not_come_in_does_not_stay() {
+        for (comes_in, stays) in [(true, true), (false, false)] {
+            let router = Router::new().route("/", get(|| async { "answered" }));
+            let (mut client, server) = tokio::io::duplex(1 << 20);
+            let asked = Asked::default();
+            let exchanges = Exchanges::resting(20 * IDLE, 20 * IDLE);
+            let may = move |_: &Request<Incoming>| comes_in;
+            let connection = answered(server, router, may, asked.clone(), exchanges);
+            let connection = tokio::spawn(asked.within(4 * IDLE, connection));
+            let mut given = [0; 12];
+            for _ in 0..2 {
+                let asks = b"GET / HTTP/1.1\r\nHost: a\r\n\r\n";
+                client.write_all(asks).await.unwrap();
+                client.read_exact(&mut given).await.unwrap();
+                assert_eq!(&given, b"HTTP/1.1 200");
+                tokio::time::sleep(IDLE / 4).await;
+                // The rest of the answer, however much has come.
+                let mut rest = [0; 1 << 12];
+                let _ = client.read(&mut rest).await.unwrap();
+            }
+            tokio::time::sleep(5 * IDLE).await;
+            assert_eq!(!connection.is_finished(), stays);
+        }
     }
 
     /// Without a word that there is room for more, 64 KiB of an answer are sent by HTTP/2.

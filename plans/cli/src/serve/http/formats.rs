@@ -1,6 +1,5 @@
 //! Rows as the body of an answer.
 
-use std::io::{BufWriter, Seek, SeekFrom};
 use std::sync::Arc;
 
 use arrow::ipc::writer::StreamWriter;
@@ -9,23 +8,28 @@ use axum::body::{Body, Bytes};
 use axum::http::header;
 use axum::response::{IntoResponse, Response};
 use evermap_schemas::{Fault, Layer};
+use futures::stream::BoxStream;
 use futures::{StreamExt, TryStreamExt};
 use serde::Deserialize;
+use tempfile::SpooledData;
 use tokio::sync::Mutex;
 use tokio_util::io::ReaderStream;
 
 use crate::earth::Earth;
 use crate::ending::Failure;
-use crate::export::geojson;
-use crate::output::{Format, Sink, write};
+use crate::export::{GeoJson, Head};
+use crate::output::{Format, RowWriter, Sink, pour, writer};
 use crate::serve::answer::Answer;
 use crate::serve::http::Refusal;
 
-/// Bytes of an answer that is made before it is sent, so that what goes wrong is an error and no torn answer.
+/// Bytes of rows of an answer that is made before it is sent, so that what goes wrong is an error and no torn answer.
 const LARGEST: usize = 64 << 20;
 
-/// The same of one that is made on the disk.
-const LARGEST_FILE: usize = 2 << 30;
+/// The same of Parquet, which is smaller than its rows.
+const LARGEST_PARQUET: usize = 2 << 30;
+
+/// Bytes of such an answer that are kept in memory, and read of it at once. What is larger lies on the disk.
+const PIECE: usize = 64 << 10;
 
 /// How rows are sent.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Deserialize)]
@@ -47,74 +51,73 @@ pub enum Form {
 /// The body of an answer. `layer` says which column is the geometry, `earth` where on earth GeoJSON puts it.
 ///
 /// # Errors
-/// What reading says; a user fault for an answer that is too large.
+/// What reading says; a user fault for an answer that is too large, a resource fault where there is no memory for it.
 pub async fn body(
     answer: Answer,
     form: Form,
     layer: Option<&Layer>,
     earth: &Earth,
 ) -> Result<Response, Refusal> {
-    let (kind, bytes) = match form {
-        Form::Json => ("application/json", written(answer, Format::Json).await?),
-        Form::Csv => (
-            "text/csv; charset=utf-8",
-            written(answer, Format::Csv).await?,
-        ),
-        Form::Parquet => return Ok(parquet(answer).await?),
-        Form::Geojson => {
-            let batches: Vec<RecordBatch> = measured(answer, LARGEST).try_collect().await?;
-            let mut text = Vec::new();
-            geojson(batches, layer, "evermap", earth, &mut text)?;
-            ("application/geo+json", text)
-        }
+    let kind = match form {
+        Form::Json => "application/json",
+        Form::Csv => "text/csv; charset=utf-8",
+        Form::Parquet => "application/vnd.apache.parquet",
+        Form::Geojson => "application/geo+json",
         Form::Arrow => return Ok(arrow_stream(answer)?),
     };
-    Ok(([(header::CONTENT_TYPE, kind)], bytes).into_response())
-}
-
-async fn written(answer: Answer, format: Format) -> Result<Vec<u8>, Failure> {
-    let schema = Arc::clone(&answer.schema);
-    let mut sink = Sink::Memory(Vec::new());
-    write(format, schema, measured(answer, LARGEST), &mut sink).await?;
-    match sink {
-        Sink::Memory(bytes) => Ok(bytes),
-        _ => Ok(Vec::new()),
-    }
-}
-
-/// Parquet from a file without a name, which is gone when it was sent.
-async fn parquet(answer: Answer) -> Result<Response, Failure> {
-    let schema = Arc::clone(&answer.schema);
-    let mut file = tempfile::tempfile()?;
-    let mut sink = Sink::Special(BufWriter::new(file.try_clone()?));
-    write(
-        Format::Parquet,
-        schema,
-        measured(answer, LARGEST_FILE),
-        &mut sink,
-    )
-    .await?;
-    sink.finish()?;
-    let bytes = file.seek(SeekFrom::End(0))?;
-    file.rewind()?;
-    let body = Body::from_stream(ReaderStream::new(tokio::fs::File::from_std(file)));
+    let (made, bytes) = made(answer, form, layer, earth).await?.rewound()?;
+    let body = match made.into_inner() {
+        SpooledData::InMemory(bytes) => Body::from(bytes.into_inner()),
+        SpooledData::OnDisk(file) => {
+            let file = tokio::fs::File::from_std(file);
+            Body::from_stream(ReaderStream::with_capacity(file, PIECE))
+        }
+    };
     let head = [
-        (
-            header::CONTENT_TYPE,
-            "application/vnd.apache.parquet".to_owned(),
-        ),
+        (header::CONTENT_TYPE, kind.to_owned()),
         (header::CONTENT_LENGTH, bytes.to_string()),
     ];
     Ok((head, body).into_response())
 }
 
+/// An answer whole: what is more than little lies in a file without a name, which is gone when it was sent.
+async fn made(
+    answer: Answer,
+    form: Form,
+    layer: Option<&Layer>,
+    earth: &Earth,
+) -> Result<Sink, Failure> {
+    let mut sink = Sink::spooled(PIECE);
+    let schema = Arc::clone(&answer.schema);
+    let largest = match form {
+        Form::Parquet => LARGEST_PARQUET,
+        _ => LARGEST,
+    };
+    let writer: Box<dyn RowWriter + '_> = match form {
+        Form::Geojson => {
+            let head = Head {
+                title: "evermap",
+                on_earth: earth.moves(&[RecordBatch::new_empty(schema)]),
+            };
+            Box::new(GeoJson::begin(head, layer, earth, &mut sink)?)
+        }
+        Form::Csv => writer(Format::Csv, schema, &mut sink)?,
+        Form::Parquet => writer(Format::Parquet, schema, &mut sink)?,
+        Form::Arrow => writer(Format::Arrow, schema, &mut sink)?,
+        Form::Json => writer(Format::Json, schema, &mut sink)?,
+    };
+    let Answer { rows, memory, .. } = answer;
+    pour(measured(rows, largest), writer, |bytes| memory.takes(bytes)).await?;
+    Ok(sink)
+}
+
 /// The rows, until they are too many bytes to be kept.
 fn measured(
-    answer: Answer,
+    rows: BoxStream<'static, Result<RecordBatch, Fault>>,
     largest: usize,
 ) -> impl futures::Stream<Item = Result<RecordBatch, Fault>> {
     let mut bytes = 0;
-    answer.rows.map(move |batch| {
+    rows.map(move |batch| {
         let batch = batch?;
         bytes += batch
             .columns()
@@ -160,4 +163,82 @@ fn arrow_stream(answer: Answer) -> Result<Response, Fault> {
     }));
     let kind = [(header::CONTENT_TYPE, "application/vnd.apache.arrow.stream")];
     Ok((kind, body).into_response())
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use arrow::array::{ArrayRef, Int64Array};
+    use axum::body::to_bytes;
+    use axum::http::StatusCode;
+    use datafusion::execution::memory_pool::{GreedyMemoryPool, MemoryPool};
+
+    use super::*;
+    use crate::serve::answer::Kept;
+
+    /// Memory of so many bytes.
+    fn memory(bytes: usize) -> Arc<dyn MemoryPool> {
+        Arc::new(GreedyMemoryPool::new(bytes))
+    }
+
+    fn thousand(at: i64) -> RecordBatch {
+        let numbers = Int64Array::from_iter_values(1000 * at..1000 * (at + 1));
+        let numbers: ArrayRef = Arc::new(numbers);
+        RecordBatch::try_from_iter([("n", numbers)]).unwrap()
+    }
+
+    /// An answer of so many thousands of numbers.
+    fn thousands(count: i64, memory: &Arc<dyn MemoryPool>) -> Answer {
+        let rows = futures::stream::iter((0..count).map(|at| Ok(thousand(at))));
+        Answer {
+            schema: thousand(0).schema(),
+            rows: rows.boxed(),
+            memory: Kept::of(memory),
+        }
+    }
+
+    #[tokio::test]
+    async fn answers_are_whole_from_memory_and_from_the_disk_and_take_none_while_they_are_sent() {
+        let (memory, earth) = (memory(1), Earth::default());
+        for (count, is_little) in [(1, true), (20, false)] {
+            let answer = thousands(count, &memory);
+            let response = body(answer, Form::Json, None, &earth).await;
+            let response = response.unwrap_or_else(IntoResponse::into_response);
+            assert_eq!(response.status(), StatusCode::OK);
+            assert_eq!(memory.reserved(), 0);
+            let told: usize = response.headers()[header::CONTENT_LENGTH]
+                .to_str()
+                .unwrap()
+                .parse()
+                .unwrap();
+            let text = to_bytes(response.into_body(), usize::MAX).await.unwrap();
+            assert_eq!(text.len(), told);
+            assert_eq!(told <= PIECE, is_little, "{told}");
+            let rows: Vec<serde_json::Value> = serde_json::from_slice(&text).unwrap();
+            assert_eq!(rows.len(), 1000 * count as usize);
+            assert_eq!(rows[999]["n"], 999);
+        }
+    }
+
+    #[tokio::test]
+    async fn what_parquet_keeps_of_rows_counts_in_the_memory() {
+        let earth = Earth::default();
+        let (little, enough) = (memory(1000), memory(1 << 30));
+        let answer = thousands(20, &little);
+        let refused = body(answer, Form::Parquet, None, &earth).await;
+        let refused = refused.unwrap_or_else(IntoResponse::into_response);
+        assert_eq!(refused.status(), StatusCode::SERVICE_UNAVAILABLE);
+        let said = to_bytes(refused.into_body(), usize::MAX).await.unwrap();
+        let said = String::from_utf8(said.to_vec()).unwrap();
+        assert!(said.contains("larger --memory"), "{said}");
+        assert_eq!(little.reserved(), 0);
+
+        let answer = thousands(20, &enough);
+        let response = body(answer, Form::Parquet, None, &earth).await;
+        let response = response.unwrap_or_else(IntoResponse::into_response);
+        assert_eq!(response.status(), StatusCode::OK);
+        assert_eq!(enough.reserved(), 0);
+        let file = to_bytes(response.into_body(), usize::MAX).await.unwrap();
+        assert!(file.starts_with(b"PAR1") && file.ends_with(b"PAR1"));
+    }
 }

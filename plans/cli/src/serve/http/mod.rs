@@ -12,6 +12,7 @@ mod refusal;
 mod rows;
 mod teach;
 
+use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use axum::Router;
@@ -28,7 +29,7 @@ use tokio::sync::Semaphore;
 use crate::serve::access::{Access, Who};
 use crate::serve::answer::Bounds;
 use crate::serve::flight;
-use crate::serve::http::conversation::converse;
+use crate::serve::http::conversation::{Door, converse};
 use crate::serve::http::metrics::Counts;
 pub use crate::serve::http::refusal::{Asks, Refusal};
 use crate::serve::maps::{Maps, ServedMap};
@@ -62,11 +63,15 @@ pub async fn serve(
     bounds: Bounds,
     teaching: Option<Arc<Teaching>>,
 ) {
-    let (tls, longest) = (access.tls.clone(), bounds.timeout);
-    let router = router(maps, access, bounds, teaching);
+    let longest = bounds.timeout;
+    let door = Door {
+        tls: access.tls(&["h2", "http/1.1"]),
+        access: access.clone(),
+        router: router(maps, access, bounds, teaching),
+    };
     let answered = move |socket, asked| {
         let exchanges = Exchanges::new(longest);
-        converse(socket, tls.clone(), router.clone(), asked, exchanges)
+        converse(socket, door.clone(), asked, exchanges)
     };
     accept(listener, answered).await;
 }
@@ -120,6 +125,9 @@ fn of_map() -> Router<App> {
 async fn guarded(State(access): State<Access>, mut request: Request, next: Next) -> Response {
     let Some(who) = who(&access, &request) else {
         let asks = [(header::WWW_AUTHENTICATE, "Basic realm=\"evermap\"")];
+        if access.users().is_some() && authorization(&request).is_some() {
+            access.hold_up().await;
+        }
         return match access.users() {
             Some(_) => (StatusCode::UNAUTHORIZED, asks).into_response(),
             None => StatusCode::FORBIDDEN.into_response(),
@@ -135,16 +143,21 @@ async fn guarded(State(access): State<Access>, mut request: Request, next: Next)
     response
 }
 
-fn who(access: &Access, request: &Request) -> Option<Who> {
-    let text = |name: header::HeaderName| {
-        let value = request.headers().get(name)?;
-        value.to_str().ok()
-    };
+fn who<B>(access: &Access, request: &axum::http::Request<B>) -> Option<Who> {
     // Of HTTP/2, the host is part of the address.
-    let host = text(header::HOST).or_else(|| request.uri().authority().map(|host| host.as_str()));
+    let host =
+        text(request, header::HOST).or_else(|| request.uri().authority().map(|host| host.as_str()));
+    access.lets_in(authorization(request).as_deref(), host)
+}
+
+/// How who asks says that they may: by a header, or a token in the address of a door that has no headers.
+fn authorization<B>(request: &axum::http::Request<B>) -> Option<String> {
     let token = live::token(request.uri()).map(|token| format!("Bearer {token}"));
-    let authorization = token.as_deref().or_else(|| text(header::AUTHORIZATION));
-    access.lets_in(authorization, host)
+    token.or_else(|| text(request, header::AUTHORIZATION).map(str::to_owned))
+}
+
+fn text<B>(request: &axum::http::Request<B>, name: header::HeaderName) -> Option<&str> {
+    request.headers().get(name)?.to_str().ok()
 }
 
 const CAREFUL: [(header::HeaderName, &str); 4] = [
@@ -178,6 +191,15 @@ impl FromRequestParts<App> for MapOf {
     }
 }
 
+/// A name that a path has. Browsers take `.` and `..` for folders, however they are encoded, so a `~` stands before these; before
+/// `~.` too, which would be read as `.`.
+pub fn named<'p>(path: &'p BTreeMap<String, String>, part: &str) -> &'p str {
+    let written = path.get(part).map_or("", String::as_str);
+    let plain = written.strip_prefix('~');
+    let plain = plain.filter(|plain| matches!(plain.trim_start_matches('~'), "." | ".."));
+    plain.unwrap_or(written)
+}
+
 /// An answer that a browser keeps, and asks for again by its tag: it stays right when a map is made anew.
 pub fn tagged(headers: &HeaderMap, tag: &str, kind: &'static str, body: Vec<u8>) -> Response {
     match has(headers, tag) {
@@ -203,4 +225,27 @@ pub fn kept(tag: &str) -> [(header::HeaderName, String); 2] {
         (header::ETAG, format!("\"{tag}\"")),
         (header::CACHE_CONTROL, "private, no-cache".to_owned()),
     ]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_that_browsers_take_for_folders_are_written_otherwise() {
+        for (written, name) in [
+            ("lot", "lot"),
+            ("~lot", "~lot"),
+            ("~", "~"),
+            ("~.", "."),
+            ("~..", ".."),
+            ("~~.", "~."),
+            ("~...", "~..."),
+            ("..", ".."),
+        ] {
+            let path = BTreeMap::from([("site".to_owned(), written.to_owned())]);
+            assert_eq!(named(&path, "site"), name, "{written}");
+        }
+        assert_eq!(named(&BTreeMap::new(), "site"), "");
+    }
 }

@@ -16,7 +16,7 @@ use serde::Deserialize;
 use crate::camera_images::{file, rows};
 use crate::cutout::{self, PNG, Rectangle};
 use crate::reader::typed;
-use crate::serve::http::{App, Asks, MapOf, Refusal, tagged};
+use crate::serve::http::{App, Asks, MapOf, Refusal, named, tagged};
 use crate::serve::maps::Opened;
 use crate::shown::Tile;
 
@@ -30,7 +30,7 @@ pub async fn tile(
     Asks(Path(path)): Asks<Path<BTreeMap<String, String>>>,
     headers: HeaderMap,
 ) -> Result<Response, Refusal> {
-    let site = path.get("site").map_or("", String::as_str);
+    let site = named(&path, "site");
     let version = match path.get("version").map(String::as_str) {
         Some("newest") => None,
         _ => Some(number(&path, "version")?),

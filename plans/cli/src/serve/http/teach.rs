@@ -18,7 +18,7 @@ use crate::annotate::geojson::of_image;
 use crate::annotate::{Losses, geojson};
 use crate::camera_images::file;
 use crate::serve::access::Who;
-use crate::serve::http::{App, Asks, MapOf, Refusal};
+use crate::serve::http::{App, Asks, MapOf, Refusal, named};
 use crate::serve::maps::ServedMap;
 use crate::serve::teach::{Asked as AskedPerson, Canvas, Site, Teaching};
 
@@ -72,7 +72,7 @@ pub async fn labels(
     Asks(Path(path)): Asks<Path<BTreeMap<String, String>>>,
     Asks(Query(of)): Asks<Query<OfImage>>,
 ) -> Result<Json<Value>, Refusal> {
-    let site = app.teaching()?.site(&map, text(&path, "site")).await?;
+    let site = app.teaching()?.site(&map, named(&path, "site")).await?;
     Ok(Json(match of.key()? {
         Some(image) => paint_of(&site, &image).await,
         None => labels_of(&site).await,
@@ -102,8 +102,8 @@ pub async fn hypotheses(
     Asks(Path(path)): Asks<Path<BTreeMap<String, String>>>,
     Asks(Query(asked)): Asks<Query<Asked>>,
 ) -> Result<Json<Value>, Refusal> {
-    let site = app.teaching()?.site(&map, text(&path, "site")).await?;
-    let kind = text(&path, "kind");
+    let site = app.teaching()?.site(&map, named(&path, "site")).await?;
+    let kind = named(&path, "kind");
     if kind == PERSON {
         return Ok(Json(people_of(&site).await));
     }
@@ -143,7 +143,7 @@ pub async fn say(
 ) -> Result<Json<Value>, Refusal> {
     let teaching = app.teaching()?;
     let Json(saying) = saying?;
-    let site = teaching.site(&map, text(&path, "site")).await?;
+    let site = teaching.site(&map, named(&path, "site")).await?;
     let author = user.or(saying.author);
     let author = author.as_deref().unwrap_or(&teaching.author);
     let mut losses = Losses::default();
@@ -182,10 +182,6 @@ impl App {
             Fault::user("this server is only read").next("start it with --teach FOLDER")
         })
     }
-}
-
-fn text<'p>(path: &'p BTreeMap<String, String>, name: &str) -> &'p str {
-    path.get(name).map_or("", String::as_str)
 }
 
 async fn labels_of(site: &Site) -> Value {

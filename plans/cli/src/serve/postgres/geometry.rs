@@ -126,12 +126,18 @@ fn is_geometry(plan: &LogicalPlan, index: usize) -> bool {
             || is_made(plan, index))
 }
 
-/// Whether the values of a column are made by a function, beneath what only chooses and orders rows.
+/// Whether the values of a column are made by a function, beneath what only chooses and orders rows and columns.
 fn is_made(plan: &LogicalPlan, index: usize) -> bool {
     match plan {
         LogicalPlan::Projection(projection) => {
-            let made = projection.expr.get(index).map(without_alias);
-            matches!(made, Some(Expr::ScalarFunction(call)) if makes_geometry(call.func.name()))
+            match projection.expr.get(index).map(without_alias) {
+                Some(Expr::ScalarFunction(call)) => makes_geometry(call.func.name()),
+                Some(Expr::Column(column)) => {
+                    let beneath = projection.input.schema().maybe_index_of_column(column);
+                    beneath.is_some_and(|index| is_made(&projection.input, index))
+                }
+                _ => false,
+            }
         }
         LogicalPlan::Sort(sort) => is_made(&sort.input, index),
         LogicalPlan::Limit(limit) => is_made(&limit.input, index),
@@ -227,4 +233,43 @@ fn hexadecimal(value: Vec<u8>) -> String {
     digits
         .map(|digit| char::from(DIGITS[usize::from(digit)]))
         .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use evermap_engine::sql::{Limits, context, read_only};
+
+    use super::*;
+    use crate::serve::postgres::nested::as_json;
+
+    /// What is nested becomes JSON in a projection above those of the query.
+    #[tokio::test]
+    async fn what_a_function_makes_is_a_geometry_beside_what_is_nested_too() {
+        let context = context(Limits::one_partition()).unwrap();
+        let cases: [(&str, &[bool]); 5] = [
+            ("SELECT st_point(1, 2)", &[true]),
+            ("SELECT st_point(1, 2), [[1]] AS l", &[true, false]),
+            (
+                "SELECT [[1]] AS l, g FROM (SELECT st_point(1, 2) AS g) AS t LIMIT 1",
+                &[false, true],
+            ),
+            (
+                "SELECT arrow_cast('a', 'Binary') AS b, [[1]] AS l",
+                &[false; 2],
+            ),
+            (
+                "SELECT st_x(g) AS x FROM (SELECT st_point(1, 2) AS g) AS t",
+                &[false],
+            ),
+        ];
+        for (query, expected) in cases {
+            let frame = read_only(&context, query).await.unwrap();
+            let plan = as_json(frame.logical_plan().clone()).unwrap();
+            let plan = as_extended(plan).unwrap();
+            let fields = plan.schema().fields().iter();
+            let found: Vec<bool> = fields.map(|field| is_marked(field)).collect();
+            assert_eq!(found, expected, "{query}");
+        }
+    }
 }

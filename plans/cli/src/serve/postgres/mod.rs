@@ -72,6 +72,7 @@ pub async fn serve(
 ) {
     let manager = Arc::new(ConnectionManager::new());
     let places = Arc::new(Semaphore::new(connections));
+    let tls = access.tls(&["postgresql"]);
     let answered = move |socket, asked: Asked| {
         let startup = Startup::new(&access, Arc::clone(&manager), Arc::clone(&places), asked);
         let queries = Queries {
@@ -83,7 +84,7 @@ pub async fn serve(
             queries: Arc::new(queries),
             cancel: Arc::new(DefaultCancelHandler::new(Arc::clone(&manager))),
         };
-        handlers.converse(socket, access.tls.clone())
+        handlers.converse(socket, tls.clone())
     };
     accept(listener, answered).await;
 }

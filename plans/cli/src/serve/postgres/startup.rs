@@ -21,7 +21,7 @@ use crate::serve::postgres::error;
 /// Lets one client in: with a password by SCRAM where there are users, as it is where everybody may come in.
 pub struct Startup {
     by: By,
-    needs_tls: bool,
+    access: Access,
     /// Of clients that are in.
     places: Arc<Semaphore>,
     asked: Asked,
@@ -70,7 +70,7 @@ impl Startup {
         };
         Self {
             by,
-            needs_tls: access.tls.is_some(),
+            access: access.clone(),
             places,
             asked,
         }
@@ -89,7 +89,7 @@ impl StartupHandler for Startup {
         C::Error: Debug,
         PgWireError: From<<C as Sink<PgWireBackendMessage>>::Error>,
     {
-        if self.needs_tls && !client.is_secure() {
+        if self.access.needs_tls() && !client.is_secure() {
             return Err(error(
                 "FATAL",
                 "28000",
@@ -98,7 +98,13 @@ impl StartupHandler for Startup {
         }
         let done = match &self.by {
             By::Anybody(handler) => handler.on_startup(client, message).await,
-            By::Password(handler) => handler.on_startup(client, message).await,
+            By::Password(handler) => {
+                let done = handler.on_startup(client, message).await;
+                if done.is_err() {
+                    self.access.hold_up().await;
+                }
+                done
+            }
         };
         done.map_err(fatal)?;
         if matches!(client.state(), PgWireConnectionState::ReadyForQuery) {

@@ -36,15 +36,19 @@ fn is_artifact(path: &Path) -> bool {
     is_file && parts.next() == Some(ARTIFACTS)
 }
 
-/// That an artifact is gone, whose file somebody has looked for.
-fn gone(path: &Path) -> Error {
+/// That an artifact is gone, for whose rows somebody asks.
+pub fn gone(path: &Path) -> Fault {
     let fault = Fault::data(format!("{path}: expected rows of a version, found no file"));
-    let fault = fault.next(
+    fault.next(
         "ask another version, where `evermap gc` has forgotten this one; otherwise run the same plan again",
-    );
+    )
+}
+
+/// The same, as a store says it.
+fn not_found(path: &Path) -> Error {
     Error::NotFound {
         path: path.to_string(),
-        source: Box::new(fault),
+        source: Box::new(gone(path)),
     }
 }
 
@@ -52,7 +56,7 @@ fn gone(path: &Path) -> Error {
 impl ObjectStore for Files {
     fn list(&self, prefix: Option<&Path>) -> BoxStream<'static, Result<ObjectMeta>> {
         match prefix.filter(|prefix| is_artifact(prefix)) {
-            Some(artifact) => stream::once(ready(Err(gone(artifact)))).boxed(),
+            Some(artifact) => stream::once(ready(Err(not_found(artifact)))).boxed(),
             None => self.0.list(prefix),
         }
     }

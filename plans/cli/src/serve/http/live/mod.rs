@@ -67,7 +67,11 @@ pub struct Watched {
 
 /// The token in an address of this door; `None` in any other.
 pub fn token(uri: &Uri) -> Option<String> {
-    if !uri.path().ends_with("/foxglove") {
+    let of_map = uri.path().strip_prefix("/maps/");
+    let door = of_map.map_or(uri.path().strip_prefix('/'), |of_map| {
+        of_map.split_once('/').map(|(_, door)| door)
+    });
+    if door != Some("foxglove") {
         return None;
     }
     Query::<Watched>::try_from_uri(uri).ok()?.0.token
@@ -366,5 +370,27 @@ impl<'r> Viewer<'r> {
             self.out.send(Message::Binary(sent)).await?;
         }
         Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_token_is_read_in_the_address_of_this_door_and_of_no_other() {
+        for (address, found) in [
+            ("/foxglove?token=t0ken", Some("t0ken")),
+            ("/maps/lot/foxglove?session=a&token=t0ken", Some("t0ken")),
+            ("http://a:1/foxglove?token=t0ken", Some("t0ken")),
+            ("/foxglove", None),
+            ("/layers/foxglove?token=t0ken", None),
+            ("/maps/lot/layers/foxglove?token=t0ken", None),
+            ("/maps/foxglove?token=t0ken", None),
+            ("/teach/lot/foxglove?token=t0ken", None),
+        ] {
+            let token = token(&Uri::from_static(address));
+            assert_eq!(token.as_deref(), found, "{address}");
+        }
     }
 }
