@@ -4,10 +4,10 @@ use std::collections::BTreeMap;
 
 use evermap_algorithms::ground::people::teaching::{Belief, Open, belief, questions, untaught};
 use evermap_algorithms::learning::gaussian_process::LinearProcess;
-use evermap_contract::{Emit, Fault, Key, Operator, Pixels, Port, Sides, Stream, Work};
+use evermap_contract::{
+    Emit, Fault, Key, NothingToChoose, Operator, Pixels, Port, Sides, Stream, Work,
+};
 use evermap_schemas::layers::{PersonExample, PersonHypothesis, PersonModel, PersonQuestion};
-use schemars::JsonSchema;
-use serde::{Deserialize, Serialize};
 
 use crate::inputs::asking::reason;
 use crate::inputs::painting::ImageKey;
@@ -16,10 +16,6 @@ use crate::inputs::people::learnt;
 /// See the module's page.
 pub struct PersonQuestions;
 
-/// There is nothing to choose.
-#[derive(Debug, Clone, Default, Serialize, Deserialize, JsonSchema)]
-pub struct PersonQuestionsParams {}
-
 /// An example within this (m) of a hypothesis of its image answers it.
 const ANSWERED_M: f64 = 0.3;
 
@@ -27,7 +23,7 @@ impl Operator for PersonQuestions {
     const NAME: &'static str = "person_questions";
     const VERSION: u32 = 1;
     const PAGE: &'static str = include_str!("person_questions.md");
-    type Params = PersonQuestionsParams;
+    type Params = NothingToChoose;
     type Output = PersonQuestion;
 
     fn work() -> Work<Self::Params> {
@@ -50,10 +46,10 @@ struct Asking {
 }
 
 impl Stream for Asking {
-    type Params = PersonQuestionsParams;
+    type Params = NothingToChoose;
     type Row = PersonHypothesis;
 
-    fn open(_: &PersonQuestionsParams, sides: &Sides) -> Result<Self, Fault> {
+    fn open(_: &NothingToChoose, sides: &Sides) -> Result<Self, Fault> {
         let mut answered = BTreeMap::<ImageKey, Vec<[f64; 2]>>::new();
         for one in sides.rows::<PersonExample>("examples")? {
             let image = answered.entry((one.session, one.stamp, one.camera));

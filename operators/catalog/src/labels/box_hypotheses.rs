@@ -5,11 +5,9 @@ use evermap_algorithms::ground::boxes::teaching::{Candidates, Example, Hypothesi
 use evermap_algorithms::ground::boxes::template::Template;
 use evermap_algorithms::learning::calibration::Calibration;
 use evermap_algorithms::learning::gaussian_process::LinearProcess;
-use evermap_contract::{Emit, Fault, Key, Operator, Port, Sides, Work};
+use evermap_contract::{Emit, Fault, Key, NothingToChoose, Operator, Port, Sides, Work};
 use evermap_schemas::Wkb;
 use evermap_schemas::layers::{BoxHypothesis, BoxModel, OverheadTile, PlacedLabel};
-use schemars::JsonSchema;
-use serde::{Deserialize, Serialize};
 
 use crate::inputs::asking::reason;
 use crate::inputs::boxes::{LONGEST_M, boxes, mosaic, pose};
@@ -17,15 +15,11 @@ use crate::inputs::boxes::{LONGEST_M, boxes, mosaic, pose};
 /// See the module's page.
 pub struct BoxHypotheses;
 
-/// There is nothing to choose.
-#[derive(Debug, Clone, Default, Serialize, Deserialize, JsonSchema)]
-pub struct BoxHypothesesParams {}
-
 impl Operator for BoxHypotheses {
     const NAME: &'static str = "box_hypotheses";
     const VERSION: u32 = 6;
     const PAGE: &'static str = include_str!("box_hypotheses.md");
-    type Params = BoxHypothesesParams;
+    type Params = NothingToChoose;
     type Output = BoxHypothesis;
 
     fn work() -> Work<Self::Params> {
@@ -39,7 +33,7 @@ impl Operator for BoxHypotheses {
 }
 
 fn hypotheses(
-    _: &BoxHypothesesParams,
+    _: &NothingToChoose,
     models: Vec<BoxModel>,
     sides: Sides,
     emit: &mut Emit<'_>,
