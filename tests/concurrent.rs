@@ -69,7 +69,8 @@ impl Site {
             manifest: None,
         };
         let logs = [text(log).to_owned()];
-        let prepared = Prepared::new(&plan, &self.registry, text(&self.map()), &logs, None).await;
+        let prepared =
+            Prepared::new(&plan, &self.registry, text(&self.map()), &logs, None, None).await;
         prepared.unwrap_or_else(|refusal| match refusal {
             Refusal::Plan(faults) => panic!("{}", faults.pretty()),
             Refusal::Fault(fault) => panic!("{fault}"),

@@ -15,6 +15,7 @@ use std::time::Duration;
 
 use evermap::commands::sql::Tables;
 use evermap::ending::{Failure, Lost};
+use evermap_engine::quoted;
 use evermap_engine::sql::{Limits, STACK_BYTES, Term};
 use evermap_schemas::Fault;
 use pyo3::create_exception;
@@ -77,7 +78,7 @@ impl Map {
 
     /// All rows of a layer.
     fn layer(&self, py: Python<'_>, name: &str) -> PyResult<Rows> {
-        let query = format!("SELECT * FROM \"{}\"", name.replace('"', "\"\""));
+        let query = format!("SELECT * FROM {}", quoted::name(name));
         self.sql(py, query)
     }
 

@@ -35,7 +35,7 @@ mod work;
 pub use emit::{Emit, Losses};
 pub use fold::{Fold, StateRow};
 pub use job::{Driving, Job, Phase, Worker};
-pub use operator::Operator;
+pub use operator::{NothingToChoose, Operator};
 pub use page::{Example, Page};
 pub use params::{ParamFault, Parameter};
 pub use port::{Key, Port, Reach, pixels_column};

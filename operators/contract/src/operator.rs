@@ -2,8 +2,8 @@
 
 use evermap_schemas::{Fault, LayerRow};
 use schemars::JsonSchema;
-use serde::Serialize;
 use serde::de::DeserializeOwned;
+use serde::{Deserialize, Serialize};
 
 use crate::Work;
 
@@ -17,6 +17,7 @@ pub trait Operator: 'static {
     /// The page beside the file: `include_str!("name.md")`.
     const PAGE: &'static str;
     /// Parameters; every one has a default, a unit in its name, a doc comment, and a range where one makes sense.
+    /// [`NothingToChoose`] where there are none.
     type Params: Default + Clone + Serialize + DeserializeOwned + JsonSchema + Send + Sync + 'static;
     /// The row of the output layer.
     type Output: LayerRow;
@@ -33,3 +34,7 @@ pub trait Operator: 'static {
         Ok(())
     }
 }
+
+/// There is nothing to choose.
+#[derive(Debug, Clone, Default, Serialize, Deserialize, JsonSchema)]
+pub struct NothingToChoose {}

@@ -7,6 +7,7 @@ use arrow::array::RecordBatch;
 use arrow::util::display::array_value_to_string;
 use datafusion::prelude::SessionContext;
 use evermap_catalog::USUAL_VEHICLE;
+use evermap_engine::quoted;
 use evermap_schemas::Fault;
 use evermap_schemas::roles::robots::Robots;
 use evermap_schemas::roles::{CameraMount, frame_names};
@@ -185,9 +186,9 @@ pub(crate) async fn cameras_of(
     session: &str,
     images: usize,
 ) -> Result<BTreeSet<String>, Fault> {
-    let session = session.replace('\'', "''");
+    let session = quoted::text(session);
     let cameras = format!(
-        "SELECT DISTINCT camera FROM (SELECT camera FROM frames WHERE session = '{session}' LIMIT {images})"
+        "SELECT DISTINCT camera FROM (SELECT camera FROM frames WHERE session = {session} LIMIT {images})"
     );
     let cameras = texts_of(context, &cameras).await?.into_iter();
     Ok(cameras.map(|[camera]: [String; 1]| camera).collect())
@@ -201,9 +202,9 @@ pub(crate) async fn image_size(
     calibrations: impl IntoIterator<Item = &String>,
 ) -> Option<[u32; 2]> {
     for topic in calibrations {
-        let topic = topic.replace('"', "\"\"");
+        let topic = quoted::name(topic);
         for frame in ["header['frame_id']", "frame_id"] {
-            let first = format!("SELECT {frame}, width, height FROM \"{topic}\" LIMIT 1");
+            let first = format!("SELECT {frame}, width, height FROM {topic} LIMIT 1");
             // Messages have the frame in the one place or the other.
             let found = texts_of::<3>(context, &first).await.unwrap_or_default();
             if let Some([of, width, height]) = found.first()

@@ -5,6 +5,7 @@ use datafusion::prelude::SessionContext;
 use evermap_datasets::Dataset;
 use evermap_engine::error::OrFault;
 use evermap_engine::program::Program;
+use evermap_engine::quoted;
 use evermap_engine::sql::{Limits, context};
 use evermap_schemas::roles::{
     CameraNames, Fields, FromMessage, GnssFix, Message, OdometryOf, ZeroStamp, gnss_fixes,
@@ -51,7 +52,7 @@ pub async fn notes(dataset: &Dataset, program: &Program) -> Result<Vec<String>, 
 
 /// How many messages a topic has, where all of them say that there is no fix.
 async fn blank(context: &SessionContext, topic: &str) -> Result<Option<u64>, Fault> {
-    let query = format!("SELECT * FROM \"{}\"", topic.replace('"', "\"\""));
+    let query = format!("SELECT * FROM {}", quoted::name(topic));
     let frame = context.sql(&query).await.or_fault()?;
     let mut batches = frame.execute_stream().await.or_fault()?;
     let mut messages = 0;

@@ -2,6 +2,7 @@
 //! versions place them.
 
 use evermap_engine::map::version::Version;
+use evermap_engine::quoted;
 use evermap_schemas::{Fault, Geometry, Wkb, record};
 
 use crate::draw::{Changes, Placings};
@@ -42,8 +43,8 @@ pub async fn changes(reader: &MapReader, site: &str, since: u64) -> Result<Chang
     for layer in COMPARED.into_iter().filter(|layer| reader.map.has(layer)) {
         let query = format!(
             "SELECT change, geometry, geometry_before FROM diff('{layer}', {since}, {version})
-             WHERE change <> 'same' AND site = '{}'",
-            site.replace('\'', "''")
+             WHERE change <> 'same' AND site = {}",
+            quoted::text(site)
         );
         let rows = reader.ask(&query).await.map_err(|fault| fault.at(layer))?;
         for row in typed::<ChangedRow>(&rows)? {

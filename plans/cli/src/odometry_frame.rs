@@ -7,6 +7,7 @@ use evermap_catalog::{USUAL_VEHICLE, VehicleFrame, footing};
 use evermap_datasets::manifest::Vehicle;
 use evermap_datasets::{Dataset, Session};
 use evermap_engine::program::Program;
+use evermap_engine::quoted;
 use evermap_engine::sql::{Limits, context};
 use evermap_schemas::roles::{Transform, frame_names};
 use evermap_schemas::{Fault, rows};
@@ -59,8 +60,8 @@ async fn child_of(context: &SessionContext, session: &Session) -> Option<String>
     if session.roles.topics("transforms").contains(topic) {
         return None;
     }
-    let (topic, name) = (topic.replace('"', "\"\""), quoted(&session.name));
-    let first = format!("SELECT child_frame_id FROM \"{topic}\" WHERE session = '{name}' LIMIT 1");
+    let (topic, name) = (quoted::name(topic), quoted::text(&session.name));
+    let first = format!("SELECT child_frame_id FROM {topic} WHERE session = {name} LIMIT 1");
     // Messages of other types have no such member.
     let found = texts_of::<1>(context, &first).await.ok()?;
     let [frame] = found.into_iter().next()?;
@@ -76,19 +77,15 @@ pub(crate) async fn fixed_transforms(
     context: &SessionContext,
     session: &str,
 ) -> Result<Vec<Transform>, Fault> {
-    let session = quoted(session);
+    let session = quoted::text(session);
     let fixed = format!(
-        "SELECT * FROM (SELECT * FROM transforms WHERE session = '{session}' LIMIT {TRANSFORMS}) WHERE fixed"
+        "SELECT * FROM (SELECT * FROM transforms WHERE session = {session} LIMIT {TRANSFORMS}) WHERE fixed"
     );
     let mut found = Vec::new();
     for batch in answered(context, &fixed).await? {
         found.extend(rows::<Transform>(&batch)?);
     }
     Ok(found)
-}
-
-fn quoted(name: &str) -> String {
-    name.replace('\'', "''")
 }
 
 /// The vehicle in a frame (`frame_from_vehicle`), and what the vehicle is called; `None` where no fixed transforms tie

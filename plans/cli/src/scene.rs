@@ -16,15 +16,12 @@ use crate::shown::{Hypothesis, Label, LaneSpeed, PersonSeen, Space, SpaceState, 
 /// Where a vehicle was, and when.
 type Passed = (Stamp, [f64; 2]);
 
-/// The trajectories of a map, of one site where it is named, by site and session; from keyframes where it has no poses.
+/// The trajectories of a map, by site and session; from keyframes where it has no poses.
 ///
 /// # Errors
 /// As [`MapReader::rows`].
-pub async fn trajectories(
-    reader: &MapReader,
-    site: Option<&str>,
-) -> Result<Vec<Trajectory>, Fault> {
-    Ok(lines(driven(reader, site).await?))
+pub async fn trajectories(reader: &MapReader) -> Result<Vec<Trajectory>, Fault> {
+    Ok(lines(driven(reader, None).await?))
 }
 
 fn lines(driven: Driven) -> Vec<Trajectory> {

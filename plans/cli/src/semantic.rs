@@ -4,6 +4,7 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use evermap_datasets::ImageReader;
 use evermap_engine::map::Map;
+use evermap_engine::quoted;
 use evermap_engine::sql::{Limits, context};
 use evermap_schemas::layers::{LabelImage, Relocation, SemanticGraph, View};
 use evermap_schemas::{Cell, Fault, ImageRef, Stamp};
@@ -86,16 +87,20 @@ async fn labels(reader: &MapReader, view: &View) -> Result<Option<LabelImage>, F
     let Some(layer) = reader.layer_of::<LabelImage>() else {
         return Ok(None);
     };
-    let query = format!("SELECT * FROM \"{layer}\" WHERE {}", of_view(view));
+    let query = format!(
+        "SELECT * FROM {} WHERE {}",
+        quoted::name(&layer),
+        of_view(view)
+    );
     let found = typed(&reader.ask(&query).await?)?;
     Ok(found.into_iter().next())
 }
 
 /// The condition for the rows of a view.
 fn of_view(view: &View) -> String {
-    let [session, camera] = [&view.session, &view.camera].map(|name| name.replace('\'', "''"));
+    let [session, camera] = [&view.session, &view.camera].map(|name| quoted::text(name));
     let stamp = view.stamp.0;
-    format!("session = '{session}' AND camera = '{camera}' AND CAST(stamp AS BIGINT) = {stamp}")
+    format!("session = {session} AND camera = {camera} AND CAST(stamp AS BIGINT) = {stamp}")
 }
 
 /// At most so many of a list, the same distance apart.

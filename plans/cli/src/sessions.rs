@@ -43,7 +43,7 @@ pub async fn prepare(args: &PlanArgs, registry: &Registry, map: &str) -> Result<
     let plan = shipped::of(args)?;
     let manifest = manifest(&args.sessions)?;
     let sessions = &args.sessions.sessions;
-    Ok(Prepared::new(&plan, registry, map, sessions, manifest.as_ref()).await?)
+    Ok(Prepared::new(&plan, registry, map, sessions, manifest.as_ref(), None).await?)
 }
 
 /// What logs are called while they are read.
@@ -71,7 +71,7 @@ pub async fn prepare_run(args: &RunArgs, registry: &Registry) -> Result<Prepared
         });
     };
     let (map, manifest) = (&args.map, manifest.as_ref());
-    let prepared = Prepared::remembering(&plan, registry, map, sessions, manifest, &mut told).await;
+    let prepared = Prepared::new(&plan, registry, map, sessions, manifest, Some(&mut told)).await;
     if let Some(progress) = progress {
         progress.finish();
     }

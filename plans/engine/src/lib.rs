@@ -29,6 +29,7 @@ pub mod plan_test;
 pub mod preflight;
 pub mod prepare;
 pub mod program;
+pub mod quoted;
 pub mod run;
 pub mod sql;
 pub mod unit;

@@ -172,40 +172,18 @@ pub struct Prepared {
 }
 
 impl Prepared {
-    /// Checks a plan against the sessions and the map that it is to run on, and writes nothing. The sessions given join
-    /// those that the map has; one of the same name takes its place.
+    /// Checks a plan against the sessions and the map that it is to run on. The sessions given join those that the map has;
+    /// one of the same name takes its place.
+    ///
+    /// Without `told` nothing is written. With it, as of what is then run, logs that are not known are read last, when nothing
+    /// else speaks against the run. The map's folder is made before, and each log is remembered as soon as it is read, so
+    /// that neither the run's units nor, where it is killed meanwhile, the next run need read it. `told` hears how far that is.
     ///
     /// # Errors
-    /// All faults of the plan, or what is wrong with a session or the map; that the plan makes nothing of any session.
+    /// All faults of the plan, or what is wrong with a session or the map; that the plan makes nothing of any session. Where
+    /// logs are remembered, a user fault where the map's folder cannot be made, a resource fault when its store does not take
+    /// what is remembered.
     pub async fn new(
-        plan: &PlanText,
-        registry: &Registry,
-        map: &str,
-        sessions: &[String],
-        manifest: Option<&Manifest>,
-    ) -> Result<Self, Refusal> {
-        Self::checked(plan, registry, map, sessions, manifest, None).await
-    }
-
-    /// As [`Prepared::new`], of what is then run: logs that are not known are read last, when nothing else speaks against
-    /// the run. The map's folder is made before, and each log is remembered as soon as it is read, so that neither the
-    /// run's units nor, where it is killed meanwhile, the next run need read it. `told` hears how far that is.
-    ///
-    /// # Errors
-    /// As [`Prepared::new`]; a user fault where the map's folder cannot be made, a resource fault when its store does not
-    /// take what is remembered.
-    pub async fn remembering(
-        plan: &PlanText,
-        registry: &Registry,
-        map: &str,
-        sessions: &[String],
-        manifest: Option<&Manifest>,
-        told: Told<'_>,
-    ) -> Result<Self, Refusal> {
-        Self::checked(plan, registry, map, sessions, manifest, Some(told)).await
-    }
-
-    async fn checked(
         plan: &PlanText,
         registry: &Registry,
         map: &str,

@@ -2,24 +2,18 @@
 
 use std::collections::BTreeMap;
 
-use evermap_contract::{Emit, Fault, Key, Operator, Port, Sides, Work};
+use evermap_contract::{Emit, Fault, Key, NothingToChoose, Operator, Port, Sides, Work};
 use evermap_schemas::Wkb;
 use evermap_schemas::layers::{Intersection, Lane, Sources};
-use schemars::JsonSchema;
-use serde::{Deserialize, Serialize};
 
 /// See the module's page.
 pub struct Intersections;
-
-/// There is nothing to choose.
-#[derive(Debug, Clone, Default, Serialize, Deserialize, JsonSchema)]
-pub struct IntersectionsParams {}
 
 impl Operator for Intersections {
     const NAME: &'static str = "intersections";
     const VERSION: u32 = 1;
     const PAGE: &'static str = include_str!("intersections.md");
-    type Params = IntersectionsParams;
+    type Params = NothingToChoose;
     type Output = Intersection;
 
     fn work() -> Work<Self::Params> {
@@ -29,7 +23,7 @@ impl Operator for Intersections {
 }
 
 fn intersections(
-    _: &IntersectionsParams,
+    _: &NothingToChoose,
     lanes: Vec<Lane>,
     _: Sides,
     emit: &mut Emit<'_>,

@@ -3,23 +3,17 @@
 use std::collections::BTreeMap;
 
 use evermap_algorithms::ground::cells::along;
-use evermap_contract::{Emit, Fault, Key, Operator, Port, Sides, Work};
+use evermap_contract::{Emit, Fault, Key, NothingToChoose, Operator, Port, Sides, Work};
 use evermap_schemas::layers::{Lane, LaneSpeed, SpeedCell};
-use schemars::JsonSchema;
-use serde::{Deserialize, Serialize};
 
 /// See the module's page.
 pub struct LaneSpeeds;
-
-/// There is nothing to choose.
-#[derive(Debug, Clone, Default, Serialize, Deserialize, JsonSchema)]
-pub struct LaneSpeedsParams {}
 
 impl Operator for LaneSpeeds {
     const NAME: &'static str = "lane_speeds";
     const VERSION: u32 = 1;
     const PAGE: &'static str = include_str!("lane_speeds.md");
-    type Params = LaneSpeedsParams;
+    type Params = NothingToChoose;
     type Output = LaneSpeed;
 
     fn work() -> Work<Self::Params> {
@@ -30,7 +24,7 @@ impl Operator for LaneSpeeds {
 }
 
 fn speeds(
-    _: &LaneSpeedsParams,
+    _: &NothingToChoose,
     lanes: Vec<Lane>,
     sides: Sides,
     emit: &mut Emit<'_>,

@@ -1,25 +1,19 @@
 #![doc = include_str!("person_models.md")]
 
 use evermap_algorithms::ground::people::teaching::{Answer, is_described, learn};
-use evermap_contract::{Emit, Fault, Key, Operator, Port, Sides, Work};
+use evermap_contract::{Emit, Fault, Key, NothingToChoose, Operator, Port, Sides, Work};
 use evermap_schemas::layers::{PersonExample, PersonModel};
-use schemars::JsonSchema;
-use serde::{Deserialize, Serialize};
 
 use crate::inputs::people::REJECTED;
 
 /// See the module's page.
 pub struct PersonModels;
 
-/// There is nothing to choose.
-#[derive(Debug, Clone, Default, Serialize, Deserialize, JsonSchema)]
-pub struct PersonModelsParams {}
-
 impl Operator for PersonModels {
     const NAME: &'static str = "person_models";
     const VERSION: u32 = 1;
     const PAGE: &'static str = include_str!("person_models.md");
-    type Params = PersonModelsParams;
+    type Params = NothingToChoose;
     type Output = PersonModel;
 
     fn work() -> Work<Self::Params> {
@@ -29,7 +23,7 @@ impl Operator for PersonModels {
 }
 
 fn models(
-    _: &PersonModelsParams,
+    _: &NothingToChoose,
     examples: Vec<PersonExample>,
     _: Sides,
     emit: &mut Emit<'_>,

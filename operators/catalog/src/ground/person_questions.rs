@@ -4,10 +4,10 @@ use std::collections::BTreeMap;
 
 use evermap_algorithms::ground::people::teaching::{Belief, Open, belief, questions, untaught};
 use evermap_algorithms::learning::gaussian_process::LinearProcess;
-use evermap_contract::{Emit, Fault, Key, Operator, Pixels, Port, Sides, Stream, Work};
+use evermap_contract::{
+    Emit, Fault, Key, NothingToChoose, Operator, Pixels, Port, Sides, Stream, Work,
+};
 use evermap_schemas::layers::{PersonExample, PersonHypothesis, PersonModel, PersonQuestion};
-use schemars::JsonSchema;
-use serde::{Deserialize, Serialize};
 
 use crate::inputs::asking::reason;
 use crate::inputs::painting::ImageKey;
@@ -16,15 +16,12 @@ use crate::inputs::people::{ANSWERED_M, learnt};
 /// See the module's page.
 pub struct PersonQuestions;
 
-/// There is nothing to choose.
-#[derive(Debug, Clone, Default, Serialize, Deserialize, JsonSchema)]
-pub struct PersonQuestionsParams {}
 
 impl Operator for PersonQuestions {
     const NAME: &'static str = "person_questions";
     const VERSION: u32 = 1;
     const PAGE: &'static str = include_str!("person_questions.md");
-    type Params = PersonQuestionsParams;
+    type Params = NothingToChoose;
     type Output = PersonQuestion;
 
     fn work() -> Work<Self::Params> {
@@ -47,10 +44,10 @@ struct Asking {
 }
 
 impl Stream for Asking {
-    type Params = PersonQuestionsParams;
+    type Params = NothingToChoose;
     type Row = PersonHypothesis;
 
-    fn open(_: &PersonQuestionsParams, sides: &Sides) -> Result<Self, Fault> {
+    fn open(_: &NothingToChoose, sides: &Sides) -> Result<Self, Fault> {
         let mut answered = BTreeMap::<ImageKey, Vec<[f64; 2]>>::new();
         for one in sides.rows::<PersonExample>("examples")? {
             let image = answered.entry((one.session, one.stamp, one.camera));

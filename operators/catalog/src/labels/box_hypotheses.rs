@@ -6,11 +6,9 @@ use evermap_algorithms::ground::boxes::teaching::{Candidates, Example, Hypothesi
 use evermap_algorithms::ground::boxes::template::Template;
 use evermap_algorithms::learning::calibration::Calibration;
 use evermap_algorithms::learning::gaussian_process::LinearProcess;
-use evermap_contract::{Emit, Fault, Key, Operator, Port, Sides, Work};
+use evermap_contract::{Emit, Fault, Key, NothingToChoose, Operator, Port, Sides, Work};
 use evermap_schemas::Wkb;
 use evermap_schemas::layers::{BoxHypothesis, BoxModel, Lane, OverheadGradients, PlacedLabel};
-use schemars::JsonSchema;
-use serde::{Deserialize, Serialize};
 
 use crate::inputs::asking::reason;
 use crate::inputs::boxes::{LONGEST_M, boxes, lane_line, mosaic, pose};
@@ -18,15 +16,11 @@ use crate::inputs::boxes::{LONGEST_M, boxes, lane_line, mosaic, pose};
 /// See the module's page.
 pub struct BoxHypotheses;
 
-/// There is nothing to choose.
-#[derive(Debug, Clone, Default, Serialize, Deserialize, JsonSchema)]
-pub struct BoxHypothesesParams {}
-
 impl Operator for BoxHypotheses {
     const NAME: &'static str = "box_hypotheses";
     const VERSION: u32 = 7;
     const PAGE: &'static str = include_str!("box_hypotheses.md");
-    type Params = BoxHypothesesParams;
+    type Params = NothingToChoose;
     type Output = BoxHypothesis;
 
     fn work() -> Work<Self::Params> {
@@ -41,7 +35,7 @@ impl Operator for BoxHypotheses {
 }
 
 fn hypotheses(
-    _: &BoxHypothesesParams,
+    _: &NothingToChoose,
     models: Vec<BoxModel>,
     mut sides: Sides,
     emit: &mut Emit<'_>,

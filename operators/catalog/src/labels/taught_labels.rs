@@ -3,13 +3,11 @@
 use std::collections::BTreeMap;
 
 use evermap_algorithms::semantic_map::semantic_graph::{MOST_CLASSES, VOID};
-use evermap_contract::{Emit, Fault, Operator, Pixels, Port, Reason, Sides, Work};
+use evermap_contract::{Emit, Fault, NothingToChoose, Operator, Pixels, Port, Reason, Sides, Work};
 use evermap_schemas::layers::LabelImage;
 use evermap_schemas::roles::ImageAnnotation;
 use evermap_schemas::{Bytes, ImageRef, Stamp, record};
 use evermap_vision::{Grey, decode_grey, decode_labels, encode_png};
-use schemars::JsonSchema;
-use serde::{Deserialize, Serialize};
 
 use crate::inputs::painting::{ImageKey, by_image, lying, paint};
 use crate::inputs::pixels::{left_out, undecoded};
@@ -38,16 +36,11 @@ record! {
     }
 }
 
-/// Nothing can be set.
-#[derive(Debug, Clone, Default, Serialize, Deserialize, JsonSchema)]
-#[serde(default)]
-pub struct TaughtLabelsParams {}
-
 impl Operator for TaughtLabels {
     const NAME: &'static str = "taught_labels";
     const VERSION: u32 = 1;
     const PAGE: &'static str = include_str!("taught_labels.md");
-    type Params = TaughtLabelsParams;
+    type Params = NothingToChoose;
     type Output = LabelImage;
 
     fn work() -> Work<Self::Params> {
@@ -61,7 +54,7 @@ impl Operator for TaughtLabels {
 struct Said(BTreeMap<ImageKey, Vec<ImageAnnotation>>);
 
 impl Said {
-    fn new(_: &TaughtLabelsParams, sides: &Sides) -> Result<Self, Fault> {
+    fn new(_: &NothingToChoose, sides: &Sides) -> Result<Self, Fault> {
         Ok(Self(by_image(sides.rows("annotations")?)))
     }
 

@@ -146,15 +146,3 @@ fn row(keyframe: &Keyframe, motion: &Pose, antenna: Vector3<f64>, fix: GnssFix) 
         vertical_sd_m: fix.vertical_sd_m,
     }
 }
-
-#[cfg(test)]
-mod tests {
-    #![allow(clippy::unwrap_used)]
-    use super::*;
-    use evermap_contract::{Entry, laws};
-
-    #[test]
-    fn the_example_and_the_laws_hold() {
-        laws::check(&Entry::of::<AntennaPositions>()).unwrap();
-    }
-}

@@ -170,13 +170,8 @@ fn surveyed(
 mod tests {
     #![allow(clippy::unwrap_used)]
     use super::*;
-    use evermap_contract::{Entry, laws};
+    use evermap_contract::Entry;
     use serde_json::json;
-
-    #[test]
-    fn the_example_and_the_laws_hold() {
-        laws::check(&Entry::of::<Georeferences>()).unwrap();
-    }
 
     #[test]
     fn places_that_are_none_are_refused_with_the_number_that_is_wrong() {

@@ -99,15 +99,3 @@ fn reason(refused: Refused) -> Reason {
         }
     }
 }
-
-#[cfg(test)]
-mod tests {
-    #![allow(clippy::unwrap_used)]
-    use super::*;
-    use evermap_contract::{Entry, laws};
-
-    #[test]
-    fn the_example_and_the_laws_hold() {
-        laws::check(&Entry::of::<InertialOdometry>()).unwrap();
-    }
-}

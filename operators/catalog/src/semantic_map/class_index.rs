@@ -1,25 +1,19 @@
 #![doc = include_str!("class_index.md")]
 
 use evermap_algorithms::semantic_map::relocation;
-use evermap_contract::{Emit, Fault, Key, Operator, Port, Sides, Work};
+use evermap_contract::{Emit, Fault, Key, NothingToChoose, Operator, Port, Sides, Work};
 use evermap_schemas::layers::{ClassCount, ClassLeaf, View};
-use schemars::JsonSchema;
-use serde::{Deserialize, Serialize};
 
 use crate::inputs::graphs::NumberedViews;
 
 /// See the module's page.
 pub struct ClassIndex;
 
-/// There is nothing to choose.
-#[derive(Debug, Clone, Default, Serialize, Deserialize, JsonSchema)]
-pub struct ClassIndexParams {}
-
 impl Operator for ClassIndex {
     const NAME: &'static str = "class_index";
     const VERSION: u32 = 2;
     const PAGE: &'static str = include_str!("class_index.md");
-    type Params = ClassIndexParams;
+    type Params = NothingToChoose;
     type Output = ClassLeaf;
 
     fn work() -> Work<Self::Params> {
@@ -28,7 +22,7 @@ impl Operator for ClassIndex {
 }
 
 fn leaves(
-    _: &ClassIndexParams,
+    _: &NothingToChoose,
     views: Vec<View>,
     _: Sides,
     emit: &mut Emit<'_>,

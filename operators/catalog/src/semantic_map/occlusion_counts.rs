@@ -2,23 +2,18 @@
 
 use std::collections::BTreeMap;
 
-use evermap_contract::{Emit, Fault, Fold, Operator, Port, Sides, Work};
+use evermap_contract::{Emit, Fault, Fold, NothingToChoose, Operator, Port, Sides, Work};
 use evermap_schemas::layers::{OcclusionCount, WarpedLabels};
-use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 /// See the module's page.
 pub struct OcclusionCounts;
 
-/// There is nothing to ask for.
-#[derive(Debug, Clone, Default, Serialize, Deserialize, JsonSchema)]
-pub struct OcclusionCountsParams {}
-
 impl Operator for OcclusionCounts {
     const NAME: &'static str = "occlusion_counts";
     const VERSION: u32 = 1;
     const PAGE: &'static str = include_str!("occlusion_counts.md");
-    type Params = OcclusionCountsParams;
+    type Params = NothingToChoose;
     type Output = OcclusionCount;
 
     fn work() -> Work<Self::Params> {
@@ -50,14 +45,14 @@ impl Sums {
 }
 
 impl Fold for Counts {
-    type Params = OcclusionCountsParams;
+    type Params = NothingToChoose;
     type Row = WarpedLabels;
     /// Dynamic class, then the class behind it.
     type Key = (String, String);
     type State = Sums;
     type Output = OcclusionCount;
 
-    fn prepare(_: &OcclusionCountsParams, _: &Sides) -> Result<Self, Fault> {
+    fn prepare(_: &NothingToChoose, _: &Sides) -> Result<Self, Fault> {
         Ok(Self)
     }
 

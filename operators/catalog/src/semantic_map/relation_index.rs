@@ -2,26 +2,20 @@
 
 use evermap_algorithms::semantic_map::relation_index::{self, ViewSet, names_digest};
 use evermap_algorithms::semantic_map::semantic_graph::Relation;
-use evermap_contract::{Emit, Fault, Key, Operator, Port, Sides, Work};
+use evermap_contract::{Emit, Fault, Key, NothingToChoose, Operator, Port, Sides, Work};
 use evermap_schemas::Bytes;
 use evermap_schemas::layers::{RelatedViews, View};
-use schemars::JsonSchema;
-use serde::{Deserialize, Serialize};
 
 use crate::inputs::graphs::NumberedViews;
 
 /// See the module's page.
 pub struct RelationIndex;
 
-/// There is nothing to choose.
-#[derive(Debug, Clone, Default, Serialize, Deserialize, JsonSchema)]
-pub struct RelationIndexParams {}
-
 impl Operator for RelationIndex {
     const NAME: &'static str = "relation_index";
     const VERSION: u32 = 1;
     const PAGE: &'static str = include_str!("relation_index.md");
-    type Params = RelationIndexParams;
+    type Params = NothingToChoose;
     type Output = RelatedViews;
 
     fn work() -> Work<Self::Params> {
@@ -30,7 +24,7 @@ impl Operator for RelationIndex {
 }
 
 fn related(
-    _: &RelationIndexParams,
+    _: &NothingToChoose,
     views: Vec<View>,
     _: Sides,
     emit: &mut Emit<'_>,

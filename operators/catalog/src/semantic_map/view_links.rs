@@ -125,15 +125,3 @@ fn registered(row: ViewRegistration) -> Option<ViewLink> {
         covariance: row.covariance,
     })
 }
-
-#[cfg(test)]
-mod tests {
-    #![allow(clippy::unwrap_used)]
-    use super::*;
-    use evermap_contract::{Entry, laws};
-
-    #[test]
-    fn the_example_and_the_laws_hold() {
-        laws::check(&Entry::of::<ViewLinks>()).unwrap();
-    }
-}

@@ -6,6 +6,7 @@ use std::io::Write;
 use evermap_engine::map::store::Store;
 use evermap_engine::map::tables::Tables;
 use evermap_engine::map::{LayerFile, Map, versions as versions_of};
+use evermap_engine::quoted;
 use evermap_engine::sql::{Limits, context};
 
 use crate::arguments::{LayersArgs, VersionsArgs};
@@ -40,8 +41,8 @@ pub async fn layers(args: &LayersArgs) -> Ending {
 fn duckdb_views(files: &[LayerFile]) -> String {
     let mut layers: BTreeMap<&str, Vec<String>> = BTreeMap::new();
     for file in files {
-        let quoted = format!("'{}'", file.file.replace('\'', "''"));
-        layers.entry(&file.layer).or_default().push(quoted);
+        let files = layers.entry(&file.layer).or_default();
+        files.push(quoted::text(&file.file));
     }
     let view = |(layer, files): (&str, Vec<String>)| {
         let files = files.join(",\n  ");

@@ -209,7 +209,7 @@ async fn semantic_facts(reader: &MapReader, site: &str) -> Result<Option<Semanti
 }
 
 async fn sessions(reader: &MapReader) -> Result<Vec<SessionFact>, Fault> {
-    let driven = trajectories(reader, None).await?;
+    let driven = trajectories(reader).await?;
     let lengths: BTreeMap<&str, f64> = driven
         .iter()
         .map(|driven| (driven.session.as_str(), driven.length_m()))

@@ -19,8 +19,8 @@ use crate::conform::conform;
 use crate::error::OrFault;
 use crate::map::Map;
 use crate::map::diff::row_digest::RowDigest;
-use crate::map::table_function::quoted;
 use crate::map::tables::Tables;
+use crate::quoted;
 use crate::sql::beside;
 
 pub use function::{DiffFunction, documentation};
@@ -146,7 +146,7 @@ impl Comparison {
             .register_table("rows", rows_of_layer)
             .or_fault()?;
         let query = format!(
-            "SELECT '{}' AS layer,
+            "SELECT {} AS layer,
                     count(*) FILTER (WHERE change = 'added') AS added,
                     count(*) FILTER (WHERE change = 'removed') AS removed,
                     count(*) FILTER (WHERE change = 'changed') AS changed,
@@ -155,7 +155,7 @@ impl Comparison {
                     max(moved_m) FILTER (WHERE change = 'changed') AS max_moved_m,
                     max(moved_rad) FILTER (WHERE change = 'changed') AS max_moved_rad
              FROM rows",
-            layer.replace('\'', "''")
+            quoted::text(layer)
         );
         let found = self.context.sql(&query).await.or_fault()?;
         let found = found.collect().await.or_fault()?;
@@ -219,8 +219,8 @@ impl Compared {
         let shown = self.shown(&schemas[1]);
         let keys = || (0..shown.len()).map(|index| format!("k{index}"));
         let columns = shown.iter().zip(keys());
-        let columns =
-            columns.map(|(name, key)| format!("coalesce(b.{key}, a.{key}) AS {}", quoted(name)));
+        let columns = columns
+            .map(|(name, key)| format!("coalesce(b.{key}, a.{key}) AS {}", quoted::name(name)));
         let matched = match self.key.as_slice() {
             [] => vec!["b.content = a.content".to_owned()],
             _ => keys()
@@ -272,10 +272,10 @@ impl Compared {
     /// Where a row is: its geometry, else the point of its pose.
     fn shape(&self) -> Option<String> {
         let point = |pose: &String| {
-            let [x, y, z] = ["x", "y", "z"].map(|axis| format!("{}['{axis}']", quoted(pose)));
+            let [x, y, z] = ["x", "y", "z"].map(|axis| format!("{}['{axis}']", quoted::name(pose)));
             format!("st_point({x}, {y}, {z})")
         };
-        let geometry = self.geometry.as_deref().map(quoted);
+        let geometry = self.geometry.as_deref().map(quoted::name);
         geometry.or_else(|| self.pose.as_ref().map(point))
     }
 
@@ -283,16 +283,19 @@ impl Compared {
     fn side(&self, table: &str, schema: &Schema, shown: &[String]) -> String {
         let keys = shown.iter().enumerate().map(|(index, name)| {
             let column = match schema.index_of(name) {
-                Ok(_) => quoted(name),
+                Ok(_) => quoted::name(name),
                 Err(_) => "NULL".to_owned(),
             };
             format!("{column} AS k{index}")
         });
-        let pose = self.pose.as_deref().map(quoted);
+        let pose = self.pose.as_deref().map(quoted::name);
         let named = [("shape", self.shape()), ("pose", pose)];
         let named = named.into_iter();
         let named = named.filter_map(|(alias, value)| Some(format!("{} AS {alias}", value?)));
-        let all = schema.fields().iter().map(|field| quoted(field.name()));
+        let all = schema
+            .fields()
+            .iter()
+            .map(|field| quoted::name(field.name()));
         let content = format!(
             "row_digest({}) AS content",
             all.collect::<Vec<_>>().join(", ")

@@ -15,9 +15,10 @@ use evermap_schemas::{Fault, batch, record};
 use crate::map::Map;
 use crate::map::receipt::{Artifact, Extent, LogContent, Receipt};
 use crate::map::store::each;
-use crate::map::table_function::{quoted, text, waited};
+use crate::map::table_function::{text, waited};
 use crate::map::version::MappedSession;
 use crate::program::{Stage, Task};
+use crate::quoted;
 
 record! {
     /// What one unit made, or one table of a session's log.
@@ -230,7 +231,7 @@ impl Found {
         };
         let files = mapped.into_iter().flat_map(|manifest| &manifest.sessions);
         let files = files.flat_map(|session| &session.files);
-        let (session, table) = (quoted(&log.session), quoted(source));
+        let (session, table) = (quoted::name(&log.session), quoted::name(source));
         let (number, _) = self.number(Origin {
             name: source.to_owned(),
             site: Some(log.site.clone()),

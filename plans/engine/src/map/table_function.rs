@@ -17,11 +17,6 @@ pub fn text(function: &str, named: &str, argument: &Expr) -> Result<String> {
     }
 }
 
-/// A name in quotes, as it stands in a query.
-pub fn quoted(name: &str) -> String {
-    format!("\"{}\"", name.replace('"', "\"\""))
-}
-
 /// Waits for what is read while a query is planned, which DataFusion does without waiting.
 pub fn waited<T>(function: &str, future: impl Future<Output = Result<T, Fault>>) -> Result<T> {
     match Handle::try_current() {

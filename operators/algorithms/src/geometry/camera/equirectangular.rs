@@ -41,13 +41,14 @@ impl Equirectangular {
         (TAU * self.focal[0] - width as f64).abs() < 0.5
     }
 
-    pub(super) fn project(&self, point: &Vector3<f64>) -> Option<[f64; 2]> {
+    /// Where a point or direction of the optical frame appears (px).
+    pub fn pixel(&self, point: &Vector3<f64>) -> [f64; 2] {
         let latitude = point.y.atan2(point.x.hypot(point.z));
         let longitude = point.x.atan2(point.z);
-        Some([
+        [
             self.centre[0] + self.focal[0] * longitude,
             self.centre[1] + self.focal[1] * latitude,
-        ])
+        ]
     }
 
     pub(super) fn project_with_jacobian(
@@ -59,7 +60,7 @@ impl Equirectangular {
         if level <= f64::EPSILON * point.y.abs() {
             return None;
         }
-        let pixel = self.project(point)?;
+        let pixel = self.pixel(point);
         let [fx, fy] = self.focal;
         let around = fx / level2;
         let up = fy / (level2 + point.y * point.y);

@@ -81,7 +81,7 @@ impl Camera {
         match &self.model {
             Model::Pinhole(lens) => lens.project(point),
             Model::KannalaBrandt(lens) => lens.project(point),
-            Model::Equirectangular(lens) => lens.project(point),
+            Model::Equirectangular(lens) => Some(lens.pixel(point)),
             Model::Ocam(lens) => lens.project(point),
         }
     }

@@ -88,12 +88,7 @@ impl Lens {
 
     /// Where a point or direction of the optical frame appears (px).
     pub fn pixel(&self, point: &Vector3<f64>) -> [f64; 2] {
-        let latitude = point.y.atan2(point.x.hypot(point.z));
-        let longitude = point.x.atan2(point.z);
-        [
-            self.centre[0] + self.focal[0] * longitude,
-            self.centre[1] + self.focal[1] * latitude,
-        ]
+        Equirectangular::new(self.focal, self.centre).pixel(point)
     }
 
     /// The pixel at whole numbers: its index, row by row; `None` out of the image.
