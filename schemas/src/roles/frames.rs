@@ -271,13 +271,14 @@ fn video_format(text: &str) -> Option<String> {
 
 #[cfg(test)]
 mod tests {
+    use std::cell::OnceCell;
     use std::sync::Arc;
 
     use arrow::array::{ArrayRef, StringArray, UInt8Array};
 
     use super::*;
     use crate::roles::tests::members;
-    use crate::roles::{CameraNames, Fields, FoundImage, OdometryOf, ZeroStamp};
+    use crate::roles::{CameraNames, Fields, FoundImage, OdometryOf};
 
     #[test]
     fn formats_are_named_alike() {
@@ -332,7 +333,7 @@ mod tests {
             topic,
             log_time: Stamp(1),
             fields: Fields::new(&members, 0),
-            zero: ZeroStamp::default(),
+            zero: &OnceCell::new(),
             image: Some(&FoundImage {
                 place,
                 magic: [0; 8],
