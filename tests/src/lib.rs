@@ -30,6 +30,13 @@ pub fn page(name: &str) -> String {
     std::fs::read_to_string(repository().join(name)).expect("there is such a page")
 }
 
+/// The interpreter that `make test` sets up, with the packages that tests need; `None` where it is not there, and the test
+/// is to be skipped.
+pub fn python() -> Option<PathBuf> {
+    let python = repository().join(".venv/bin/python");
+    evermap_test_data::there(python, "`make test` sets it up")
+}
+
 /// A finished program.
 pub struct Finished {
     /// Exit code; -1 where a signal ended it.
