@@ -13,8 +13,10 @@ pub mod server;
 pub mod trajectories;
 pub mod turned;
 
+use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
+use std::time::{Duration, SystemTime};
 
 pub use evermap_test_data::shared;
 
@@ -151,6 +153,20 @@ pub fn memory(process: u32, line: &str) -> Option<u64> {
     let found = status.lines().find_map(|found| found.strip_prefix(line))?;
     let kilobytes: u64 = found.split_whitespace().next()?.parse().ok()?;
     Some(kilobytes << 10)
+}
+
+/// Waits until a file has been as it is for so long that runs believe what they remember of it: two seconds.
+///
+/// # Panics
+/// Where there is no such file.
+pub fn until_rested(file: &Path) {
+    let found = file.metadata().expect("there is such a file");
+    let second = u64::try_from(found.ctime()).expect("it changed after 1970");
+    let changed = Duration::from_secs(second) + Duration::from_nanos(found.ctime_nsec() as u64);
+    let rested = SystemTime::UNIX_EPOCH + changed + Duration::from_secs(2);
+    while SystemTime::now() <= rested {
+        std::thread::sleep(Duration::from_millis(10));
+    }
 }
 
 /// The text of a path.
