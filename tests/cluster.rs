@@ -113,6 +113,15 @@ impl Cluster {
         executor
     }
 
+    /// A run with a cluster within its process, whose temporary files are beside those of executors.
+    fn within(&self, map: &Path, sessions: &[PathBuf]) -> Command {
+        let mut within = arguments(PLAN, map, sessions);
+        within.extend(["--cluster", "in-process"]);
+        let mut within = command(&within);
+        within.env("TMPDIR", self.temporary.path());
+        within
+    }
+
     /// The folders of its executors, each from when it is held.
     fn folders(&self) -> Vec<PathBuf> {
         let entries = std::fs::read_dir(self.temporary.path()).unwrap();
@@ -166,13 +175,12 @@ fn a_pool_a_cluster_within_and_a_cluster_of_processes_make_equal_layers() {
     let local = folder.path().join("local");
     evermap(&arguments(PLAN, &local, &sessions)).expect(0);
 
+    let cluster = Cluster::new();
     let within = folder.path().join("within");
-    let mut inside = arguments(PLAN, &within, &sessions);
-    inside.extend(["--cluster", "in-process"]);
-    evermap(&inside).expect(0);
+    let ended = cluster.within(&within, &sessions).output().unwrap();
+    evermap_tests::Finished::from(ended).expect(0);
     assert_eq!(layers(&within), layers(&local));
 
-    let cluster = Cluster::new();
     let _scheduler = cluster.scheduler();
     let _executors = [cluster.executor(), cluster.executor()];
     let apart = folder.path().join("apart");
@@ -187,22 +195,15 @@ fn a_cluster_within_a_process_leaves_no_temporary_files_and_takes_those_that_a_k
     let folder = tempfile::tempdir().unwrap();
     let sessions = sessions(folder.path(), 4, 40.0);
     let cluster = Cluster::new();
-    let within = |map: &Path| {
-        let mut within = arguments(PLAN, map, &sessions);
-        within.extend(["--cluster", "in-process"]);
-        let mut within = command(&within);
-        within.env("TMPDIR", cluster.temporary.path());
-        within
-    };
-    let killed = begin(&mut within(&folder.path().join("killed")));
+    let within = |name: &str| cluster.within(&folder.path().join(name), &sessions);
+    let killed = begin(&mut within("killed"));
     until("a folder", || cluster.folders().len() == 1);
     let left = cluster.folders();
     drop(killed);
     assert_eq!(cluster.folders(), left);
 
-    let mut next = within(&folder.path().join("next"));
-    let ended: evermap_tests::Finished = next.output().unwrap().into();
-    ended.expect(0);
+    let ended = within("next").output().unwrap();
+    evermap_tests::Finished::from(ended).expect(0);
     let rest = std::fs::read_dir(cluster.temporary.path()).unwrap();
     let rest: Vec<_> = rest.map(|entry| entry.unwrap().path()).collect();
     assert!(rest.is_empty(), "{rest:?}");
@@ -210,19 +211,12 @@ fn a_cluster_within_a_process_leaves_no_temporary_files_and_takes_those_that_a_k
 
 #[test]
 fn an_executor_whose_scheduler_does_not_answer_says_so_and_ends() {
-    let nowhere = format!("127.0.0.1:{}", free_port());
-    let bind = format!("127.0.0.1:{}", free_port());
-    let executor: [&str; 7] = [
-        "executor",
-        "--scheduler",
-        &nowhere,
-        "--bind",
-        &bind,
-        "--wait-s",
-        "2",
-    ];
+    let cluster = Cluster::new();
+    let nowhere = cluster.address();
     let begun = Instant::now();
-    let said = evermap(&executor).expect(1).stderr;
+    let mut executor = cluster.executor_command();
+    let ended = executor.args(["--wait-s", "2"]).output().unwrap();
+    let said = evermap_tests::Finished::from(ended).expect(1).stderr;
     assert!(begun.elapsed() >= Duration::from_secs(2));
     let expected = format!("expected a scheduler that answers at {nowhere} within 2 s, found ");
     assert!(said.contains(&expected), "{said}");
@@ -263,8 +257,13 @@ fn a_cluster_is_reached_by_the_name_of_its_host() {
 fn an_address_that_is_taken_or_of_no_host_is_named() {
     let other = TcpListener::bind("127.0.0.1:0").unwrap();
     let taken = other.local_addr().unwrap().to_string();
+    let temporary = tempfile::tempdir().unwrap();
     for process in ["scheduler", "executor"] {
-        let told = |bind: &str| evermap(&[process, "--bind", bind]).expect(1).stderr;
+        let told = |bind: &str| {
+            let mut command = command(&[process, "--bind", bind]);
+            let ended = command.env("TMPDIR", temporary.path()).output().unwrap();
+            evermap_tests::Finished::from(ended).expect(1).stderr
+        };
         let expected = format!("expected to listen on {taken}, found ");
         let said = told(&taken);
         assert!(said.contains(&expected), "{process}: {said}");

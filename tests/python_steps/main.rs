@@ -61,6 +61,7 @@ impl Bench {
     fn run_into(&self, map: &str, plan: &Path, more: &[&str]) -> Finished {
         let mut command = plan_command(text(plan), &self.path(map), "lot", more);
         command.env("EVERMAP_PYTHON", &self.python);
+        command.env("TMPDIR", self.folder.path());
         command.output().unwrap().into()
     }
 
