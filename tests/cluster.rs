@@ -93,6 +93,11 @@ impl Cluster {
     }
 
     fn executor(&self) -> Process {
+        begin(&mut self.executor_command())
+    }
+
+    /// An executor of one unit at a time, not yet started.
+    fn executor_command(&self) -> Command {
         let scheduler = self.address();
         let bind = format!("{}:{}", self.host, free_port());
         let mut executor = command_that_hangs_up(&[
@@ -104,7 +109,17 @@ impl Cluster {
             "--jobs",
             "1",
         ]);
-        begin(executor.env("TMPDIR", self.temporary.path()))
+        executor.env("TMPDIR", self.temporary.path());
+        executor
+    }
+
+    /// A run with a cluster within its process, whose temporary files are beside those of executors.
+    fn within(&self, map: &Path, sessions: &[PathBuf]) -> Command {
+        let mut within = arguments(PLAN, map, sessions);
+        within.extend(["--cluster", "in-process"]);
+        let mut within = command(&within);
+        within.env("TMPDIR", self.temporary.path());
+        within
     }
 
     /// The folders of its executors, each from when it is held.
@@ -130,10 +145,13 @@ fn sessions(folder: &Path, count: usize, loops: f64) -> Vec<PathBuf> {
     (0..count).map(write).collect()
 }
 
-fn arguments<'a>(map: &'a Path, sessions: &'a [PathBuf]) -> Vec<&'a str> {
+/// The plan of a run that is of no plan in particular.
+const PLAN: &str = "trajectory";
+
+fn arguments<'a>(plan: &'a str, map: &'a Path, sessions: &'a [PathBuf]) -> Vec<&'a str> {
     let mut arguments = vec![
         "run",
-        "trajectory",
+        plan,
         "--map",
         text(map),
         "--progress",
@@ -155,19 +173,18 @@ fn a_pool_a_cluster_within_and_a_cluster_of_processes_make_equal_layers() {
     let folder = tempfile::tempdir().unwrap();
     let sessions = sessions(folder.path(), 3, 2.0);
     let local = folder.path().join("local");
-    evermap(&arguments(&local, &sessions)).expect(0);
-
-    let within = folder.path().join("within");
-    let mut inside = arguments(&within, &sessions);
-    inside.extend(["--cluster", "in-process"]);
-    evermap(&inside).expect(0);
-    assert_eq!(layers(&within), layers(&local));
+    evermap(&arguments(PLAN, &local, &sessions)).expect(0);
 
     let cluster = Cluster::new();
+    let within = folder.path().join("within");
+    let ended = cluster.within(&within, &sessions).output().unwrap();
+    evermap_tests::Finished::from(ended).expect(0);
+    assert_eq!(layers(&within), layers(&local));
+
     let _scheduler = cluster.scheduler();
     let _executors = [cluster.executor(), cluster.executor()];
     let apart = folder.path().join("apart");
-    let (url, mut outside) = (cluster.url(), arguments(&apart, &sessions));
+    let (url, mut outside) = (cluster.url(), arguments(PLAN, &apart, &sessions));
     outside.extend(["--cluster", &url]);
     evermap(&outside).expect(0);
     assert_eq!(layers(&apart), layers(&local));
@@ -178,22 +195,15 @@ fn a_cluster_within_a_process_leaves_no_temporary_files_and_takes_those_that_a_k
     let folder = tempfile::tempdir().unwrap();
     let sessions = sessions(folder.path(), 4, 40.0);
     let cluster = Cluster::new();
-    let within = |map: &Path| {
-        let mut within = arguments(map, &sessions);
-        within.extend(["--cluster", "in-process"]);
-        let mut within = command(&within);
-        within.env("TMPDIR", cluster.temporary.path());
-        within
-    };
-    let killed = begin(&mut within(&folder.path().join("killed")));
+    let within = |name: &str| cluster.within(&folder.path().join(name), &sessions);
+    let killed = begin(&mut within("killed"));
     until("a folder", || cluster.folders().len() == 1);
     let left = cluster.folders();
     drop(killed);
     assert_eq!(cluster.folders(), left);
 
-    let mut next = within(&folder.path().join("next"));
-    let ended: evermap_tests::Finished = next.output().unwrap().into();
-    ended.expect(0);
+    let ended = within("next").output().unwrap();
+    evermap_tests::Finished::from(ended).expect(0);
     let rest = std::fs::read_dir(cluster.temporary.path()).unwrap();
     let rest: Vec<_> = rest.map(|entry| entry.unwrap().path()).collect();
     assert!(rest.is_empty(), "{rest:?}");
@@ -201,19 +211,12 @@ fn a_cluster_within_a_process_leaves_no_temporary_files_and_takes_those_that_a_k
 
 #[test]
 fn an_executor_whose_scheduler_does_not_answer_says_so_and_ends() {
-    let nowhere = format!("127.0.0.1:{}", free_port());
-    let bind = format!("127.0.0.1:{}", free_port());
-    let executor: [&str; 7] = [
-        "executor",
-        "--scheduler",
-        &nowhere,
-        "--bind",
-        &bind,
-        "--wait-s",
-        "2",
-    ];
+    let cluster = Cluster::new();
+    let nowhere = cluster.address();
     let begun = Instant::now();
-    let said = evermap(&executor).expect(1).stderr;
+    let mut executor = cluster.executor_command();
+    let ended = executor.args(["--wait-s", "2"]).output().unwrap();
+    let said = evermap_tests::Finished::from(ended).expect(1).stderr;
     assert!(begun.elapsed() >= Duration::from_secs(2));
     let expected = format!("expected a scheduler that answers at {nowhere} within 2 s, found ");
     assert!(said.contains(&expected), "{said}");
@@ -254,8 +257,13 @@ fn a_cluster_is_reached_by_the_name_of_its_host() {
 fn an_address_that_is_taken_or_of_no_host_is_named() {
     let other = TcpListener::bind("127.0.0.1:0").unwrap();
     let taken = other.local_addr().unwrap().to_string();
+    let temporary = tempfile::tempdir().unwrap();
     for process in ["scheduler", "executor"] {
-        let told = |bind: &str| evermap(&[process, "--bind", bind]).expect(1).stderr;
+        let told = |bind: &str| {
+            let mut command = command(&[process, "--bind", bind]);
+            let ended = command.env("TMPDIR", temporary.path()).output().unwrap();
+            evermap_tests::Finished::from(ended).expect(1).stderr
+        };
         let expected = format!("expected to listen on {taken}, found ");
         let said = told(&taken);
         assert!(said.contains(&expected), "{process}: {said}");
@@ -300,11 +308,23 @@ fn what_a_killed_executor_leaves_goes_with_the_next_and_a_hangup_leaves_nothing(
 
 /// A run on the cluster, with its outputs.
 fn on_cluster(map: &Path, sessions: &[PathBuf], cluster: &Cluster, deadline_s: &str) -> Child {
-    let (url, mut run) = (cluster.url(), arguments(map, sessions));
+    let mut run = plan_on_cluster(PLAN, map, sessions, cluster, deadline_s);
+    run.spawn().unwrap()
+}
+
+/// As [`on_cluster`] of a plan, not yet started.
+fn plan_on_cluster(
+    plan: &str,
+    map: &Path,
+    sessions: &[PathBuf],
+    cluster: &Cluster,
+    deadline_s: &str,
+) -> Command {
+    let (url, mut run) = (cluster.url(), arguments(plan, map, sessions));
     run.extend(["--cluster", &url, "--deadline-s", deadline_s]);
     let mut run = command(&run);
-    let run = run.stdout(Stdio::null()).stderr(Stdio::piped());
-    run.spawn().unwrap()
+    run.stdout(Stdio::null()).stderr(Stdio::piped());
+    run
 }
 
 #[test]
@@ -381,12 +401,97 @@ fn a_run_whose_only_executor_hangs_ends_at_its_deadline_and_nothing_runs_later()
     );
 }
 
+/// A function that notes when it is begun and when it ends, which it does once there is a file `go`.
+const WAITING: &str = r#"
+import pathlib
+import time
+
+
+def waiting(speeds, folder):
+    folder = pathlib.Path(folder)
+
+    def note(word):
+        with open(folder / "notes", "a") as notes:
+            notes.write(word + "\n")
+
+    note("begun")
+    while not (folder / "go").exists():
+        time.sleep(0.05)
+    note("ended")
+    return {"seen": [len(speeds)]}
+"#;
+
+/// Two plans: of what that function reads, and of what it makes of it. It writes into this folder.
+fn plans_that_wait(folder: &Path) -> [PathBuf; 2] {
+    std::fs::write(folder.join("waiting.py"), WAITING).unwrap();
+    let lines = [
+        "  waiting:",
+        "    python: waiting.py:waiting",
+        "    in: { speeds: speeds }",
+        "    grain: session",
+        "    output: { seen: i64 }",
+    ];
+    let with = format!("    with: {{ folder: '{}' }}", folder.display());
+    let waiting = format!("{}\n{with}\n", lines.join("\n"));
+    [("speeds", ""), ("waiting", waiting.as_str())].map(|(name, more)| {
+        let steps = "steps:\n  speeds: { op: speeds }";
+        let text = format!("plan: {name}\n{steps}\n{more}write: [{name}]\n");
+        let path = folder.join(format!("{name}.yaml"));
+        std::fs::write(&path, text).unwrap();
+        path
+    })
+}
+
+#[test]
+fn a_unit_that_takes_longer_than_the_deadline_is_begun_once_and_found_by_the_next_run() {
+    let Some(python) = evermap_tests::python() else {
+        return;
+    };
+    let folder = tempfile::tempdir().unwrap();
+    let sessions = sessions(folder.path(), 1, 1.0);
+    let cluster = Cluster::new();
+    let _scheduler = cluster.scheduler();
+    let executor = || begin(cluster.executor_command().env("EVERMAP_PYTHON", &python));
+    // While one is at work, the other one would take what is sent again.
+    let _executors = [executor(), executor()];
+    let ([before, plan], map) = (plans_that_wait(folder.path()), folder.path().join("map"));
+    let begin_run = |plan: &Path, deadline_s: &str| {
+        let mut run = plan_on_cluster(text(plan), &map, &sessions, &cluster, deadline_s);
+        run.env("EVERMAP_PYTHON", &python).spawn().unwrap()
+    };
+    let done = |run: Child| {
+        let ended: evermap_tests::Finished = run.wait_with_output().unwrap().into();
+        ended.expect(0);
+    };
+    done(begin_run(&before, "120"));
+
+    let notes = || {
+        let notes = std::fs::read_to_string(folder.path().join("notes"));
+        let notes = notes.unwrap_or_default();
+        notes.lines().map(str::to_owned).collect::<Vec<_>>()
+    };
+    let mut run = begin_run(&plan, "5");
+    until("the unit is begun", || !notes().is_empty());
+    until("the run gives up", || {
+        assert_eq!(notes(), ["begun"]);
+        run.try_wait().unwrap().is_some()
+    });
+    let ended: evermap_tests::Finished = run.wait_with_output().unwrap().into();
+    let said = ended.expect(1).stderr;
+    assert!(said.contains("no unit has ended for 5 s"), "{said}");
+
+    std::fs::write(folder.path().join("go"), "").unwrap();
+    until("the executor has done it", || receipts(&map) == 2);
+    done(begin_run(&plan, "120"));
+    assert_eq!(notes(), ["begun", "ended"]);
+}
+
 #[test]
 fn an_executor_that_stops_answering_is_given_up() {
     let folder = tempfile::tempdir().unwrap();
     let sessions = sessions(folder.path(), 8, 40.0);
     let local = folder.path().join("local");
-    evermap(&arguments(&local, &sessions)).expect(0);
+    evermap(&arguments(PLAN, &local, &sessions)).expect(0);
     let cluster = Cluster::new();
     let _scheduler = cluster.scheduler();
     let executors = [cluster.executor(), cluster.executor()];
@@ -561,7 +666,7 @@ fn fifty_random_disturbances_change_nothing() {
     let folder = tempfile::tempdir().unwrap();
     let sessions = sessions(folder.path(), 40, 20.0);
     let local = folder.path().join("local");
-    evermap(&arguments(&local, &sessions)).expect(0);
+    evermap(&arguments(PLAN, &local, &sessions)).expect(0);
 
     let cluster = Cluster::new();
     let mut chaos = Chaos {

@@ -8,7 +8,7 @@ use std::time::{Duration, SystemTime};
 
 use evermap_tests::{
     Finished, command, command_that_hangs_up, evermap, program, rectangle, repository, text,
-    write_drive, write_drive_with,
+    until_rested, write_drive, write_drive_with,
 };
 use serde_json::{Value, json};
 
@@ -266,8 +266,9 @@ fn a_run_that_is_killed_while_it_reads_logs_reads_on_where_it_was() {
         line.extend(logs);
         self::command(&line)
     };
-    // Files of just now are not believed to rest.
-    std::thread::sleep(Duration::from_millis(2500));
+    for log in [&small, &large] {
+        until_rested(log);
+    }
     let map = folder.path().join("map");
     let ended = |mut command: Command| Finished::from(command.output().unwrap());
     ended(at(&map, "run", "lifelong")).expect(1);

@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 
 use evermap_datasets::log::index::LogIndex;
 use evermap_engine::map::receipt::Receipt;
-use evermap_tests::{Finished, evermap, rectangle, text, write_drive};
+use evermap_tests::{Finished, evermap, rectangle, text, until_rested, write_drive};
 use serde_json::{Value, json};
 
 /// A lifelong plan that needs no camera: sessions that are not in the version before are new.
@@ -568,7 +568,7 @@ fn a_log_is_read_again_only_when_its_file_has_changed() {
     };
     // The file is of just now: what is remembered of it is for that run's units, and nobody believes it later.
     forge();
-    std::thread::sleep(std::time::Duration::from_millis(2500));
+    until_rested(&a);
     let unit = &world.explain(&[&a])[0];
     assert_eq!(unit["why"], "unchanged", "{unit}");
     world.run(&[&a]);

@@ -62,8 +62,7 @@ fn every_recording_is_read_or_refused_with_what_to_do() {
 
 /// The messages of topics as the official Python readers decode them; `None`, loudly, without those readers.
 fn python(file: &Path, topics: &[&str]) -> Option<Vec<Value>> {
-    let interpreter = repository().join(".venv/bin/python");
-    let interpreter = evermap_test_data::there(interpreter, "`make test` sets it up")?;
+    let interpreter = evermap_tests::python()?;
     let script = repository().join("tests/peers/check_values.py");
     let output = Command::new(interpreter)
         .arg(script)

@@ -8,8 +8,6 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, OnceLock};
 use std::time::Duration;
 
-use evermap_tests::repository;
-
 /// Serves until its standard input ends, as it does when the tests end, however they do.
 const SERVE: &str = "
 import logging, sys
@@ -25,9 +23,7 @@ sys.stdin.read()
 fn server() -> Option<SocketAddr> {
     static SERVER: OnceLock<Option<(SocketAddr, Child)>> = OnceLock::new();
     let start = || {
-        let python = repository().join(".venv/bin/python");
-        let python = evermap_test_data::there(python, "`make test` sets it up")?;
-        let mut server = Command::new(python)
+        let mut server = Command::new(evermap_tests::python()?)
             .args(["-c", SERVE])
             .stdin(Stdio::piped())
             .stdout(Stdio::piped())

@@ -10,11 +10,6 @@ use evermap_tests::{
 };
 use serde_json::Value;
 
-/// The interpreter that `make test` sets up, which has pyarrow; `None` where it is not there.
-fn python() -> Option<PathBuf> {
-    evermap_test_data::there(repository().join(".venv/bin/python"), "run `make test`")
-}
-
 /// A folder with the plans and functions of this test, and a map that is to be.
 struct Bench {
     folder: tempfile::TempDir,
@@ -23,7 +18,7 @@ struct Bench {
 
 impl Bench {
     fn new() -> Option<Self> {
-        let python = python()?;
+        let python = evermap_tests::python()?;
         let folder = tempfile::tempdir().unwrap();
         let here = repository().join("tests/python_steps");
         for name in ["steps.py", "frames.yaml"] {
@@ -66,6 +61,7 @@ impl Bench {
     fn run_into(&self, map: &str, plan: &Path, more: &[&str]) -> Finished {
         let mut command = plan_command(text(plan), &self.path(map), "lot", more);
         command.env("EVERMAP_PYTHON", &self.python);
+        command.env("TMPDIR", self.folder.path());
         command.output().unwrap().into()
     }
 

@@ -14,9 +14,10 @@ pub mod server;
 pub mod trajectories;
 pub mod turned;
 
+use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output, Stdio};
-use std::time::Duration;
+use std::time::{Duration, SystemTime};
 
 pub use evermap_test_data::shared;
 
@@ -30,6 +31,13 @@ pub fn repository() -> &'static Path {
 /// A page of the documentation, by its path in the repository.
 pub fn page(name: &str) -> String {
     std::fs::read_to_string(repository().join(name)).expect("there is such a page")
+}
+
+/// The interpreter that `make test` sets up, with the packages that tests need; `None` where it is not there, and the test
+/// is to be skipped.
+pub fn python() -> Option<PathBuf> {
+    let python = repository().join(".venv/bin/python");
+    evermap_test_data::there(python, "`make test` sets it up")
 }
 
 /// A finished program.
@@ -165,6 +173,20 @@ pub fn watched(mut command: Command) -> (Finished, u64) {
     }
     let ended = program.wait_with_output().expect("evermap is waited for");
     (ended.into(), most >> 20)
+}
+
+/// Waits until a file has been as it is for so long that runs believe what they remember of it: two seconds.
+///
+/// # Panics
+/// Where there is no such file.
+pub fn until_rested(file: &Path) {
+    let found = file.metadata().expect("there is such a file");
+    let second = u64::try_from(found.ctime()).expect("it changed after 1970");
+    let changed = Duration::from_secs(second) + Duration::from_nanos(found.ctime_nsec() as u64);
+    let rested = SystemTime::UNIX_EPOCH + changed + Duration::from_secs(2);
+    while SystemTime::now() <= rested {
+        std::thread::sleep(Duration::from_millis(10));
+    }
 }
 
 /// The text of a path.

@@ -4,7 +4,9 @@ use std::io::{BufRead, BufReader, Read};
 use std::path::{Path, PathBuf};
 use std::process::{Child, ChildStderr, Command, Stdio};
 
-use crate::{Finished, command, memory, plan_command, rectangle, repository, text, write_drive};
+use crate::{
+    Finished, command, memory, plan_command, python, rectangle, repository, text, write_drive,
+};
 
 /// A server of a map, stopped when it is dropped.
 pub struct Server {
@@ -92,9 +94,7 @@ pub fn drive(folder: &Path, map: &Path, day: &str, width_m: f64) {
 
 /// A Python script beside the tests, with the programs that people have; `None` where they are not installed.
 pub fn script(name: &str, arguments: &[&str]) -> Option<Command> {
-    let python = repository().join(".venv/bin/python");
-    let python = evermap_test_data::there(python, "`make test` sets it up")?;
-    let mut script = bounded(&python);
+    let mut script = bounded(&python()?);
     script.arg(repository().join("tests").join(name));
     script.args(arguments);
     Some(script)

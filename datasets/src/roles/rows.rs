@@ -1,5 +1,6 @@
 //! The builder that all roles of messages share: decode the members that a role reads, then have it make rows of them.
 
+use std::cell::OnceCell;
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
@@ -222,7 +223,7 @@ impl RowBuilder for RoleRows {
             taken.extend(rows.map(|(row, taken)| (taken, topic, row)));
         }
         taken.sort_by_key(|(taken, ..)| taken.order);
-        let zeros: Vec<ZeroStamp> = members.iter().map(ZeroStamp::among).collect();
+        let zeros: Vec<OnceCell<ZeroStamp>> = vec![OnceCell::new(); members.len()];
         let messages: Vec<Message<'_>> = taken
             .iter()
             .map(|(taken, topic, row)| Message {
@@ -231,7 +232,7 @@ impl RowBuilder for RoleRows {
                 topic: &self.topics[*topic].topic,
                 log_time: Stamp(taken.log_time),
                 fields: Fields::new(&members[*topic], *row),
-                zero: zeros[*topic],
+                zero: &zeros[*topic],
                 image: taken.image.as_ref(),
                 cameras: &self.known.cameras,
                 robot: &self.known.robot.odometry,

@@ -1,5 +1,7 @@
 //! Sessions whose GNSS receiver had no fix: each message says so, none makes a row, and nothing else is said of it.
 
+use std::cell::OnceCell;
+
 use arrow::array::StructArray;
 use datafusion::prelude::SessionContext;
 use evermap_datasets::Dataset;
@@ -8,7 +10,7 @@ use evermap_engine::program::Program;
 use evermap_engine::quoted;
 use evermap_engine::sql::{Limits, context};
 use evermap_schemas::roles::{
-    CameraNames, Fields, FromMessage, GnssFix, Message, OdometryOf, ZeroStamp, gnss_fixes,
+    CameraNames, Fields, FromMessage, GnssFix, Message, OdometryOf, gnss_fixes,
 };
 use evermap_schemas::{Fault, Stamp};
 use futures::TryStreamExt;
@@ -73,7 +75,7 @@ fn is_no_fix(fields: Fields<'_>) -> bool {
         topic: "",
         log_time: Stamp(0),
         fields,
-        zero: ZeroStamp::default(),
+        zero: &OnceCell::new(),
         image: None,
         cameras: &CameraNames::default(),
         robot: &OdometryOf::default(),

@@ -276,6 +276,7 @@ fn plain_model(model: &str) -> String {
 
 #[cfg(test)]
 mod tests {
+    use std::cell::OnceCell;
     use std::sync::Arc;
 
     use arrow::array::{ArrayRef, ListArray, UInt32Array};
@@ -284,7 +285,7 @@ mod tests {
     use super::*;
     use crate::Stamp;
     use crate::roles::tests::members;
-    use crate::roles::{CameraNames, OdometryOf, ZeroStamp};
+    use crate::roles::{CameraNames, OdometryOf};
 
     fn list(numbers: &[f64]) -> ArrayRef {
         let items = numbers.iter().copied().map(Some);
@@ -328,7 +329,7 @@ mod tests {
             topic: "/front/camera_info",
             log_time: Stamp(1),
             fields: Fields::new(&members, 0),
-            zero: ZeroStamp::default(),
+            zero: &OnceCell::new(),
             image: None,
             cameras: &CameraNames::of_images(|_| vec![images]),
             robot: &OdometryOf::default(),

@@ -272,6 +272,7 @@ fn video_format(text: &str) -> Option<String> {
 
 #[cfg(test)]
 mod tests {
+    use std::cell::OnceCell;
     use std::sync::Arc;
 
     use arrow::array::{ArrayRef, StringArray, UInt8Array};
@@ -279,7 +280,7 @@ mod tests {
     use super::*;
     use crate::Pose;
     use crate::roles::tests::members;
-    use crate::roles::{CalibratedCamera, CameraNames, Fields, FoundImage, OdometryOf, ZeroStamp};
+    use crate::roles::{CalibratedCamera, CameraNames, Fields, FoundImage, OdometryOf};
 
     fn camera(frame: &str) -> CalibratedCamera {
         CalibratedCamera {
@@ -341,7 +342,7 @@ mod tests {
             topic,
             log_time: Stamp(1),
             fields: Fields::new(&members, 0),
-            zero: ZeroStamp::default(),
+            zero: &OnceCell::new(),
             image: Some(&FoundImage {
                 place,
                 magic: [0; 8],

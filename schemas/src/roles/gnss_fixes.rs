@@ -107,13 +107,14 @@ impl FromMessage for GnssFix {
 
 #[cfg(test)]
 mod tests {
+    use std::cell::OnceCell;
     use std::sync::Arc;
 
     use arrow::array::{ArrayRef, Float64Array, Int8Array};
 
     use super::*;
     use crate::roles::tests::members;
-    use crate::roles::{CameraNames, Fields, OdometryOf, ZeroStamp};
+    use crate::roles::{CameraNames, Fields, OdometryOf};
 
     /// How many rows a message with this status and latitude gives.
     fn rows(status: Option<i8>, latitude_deg: f64) -> Result<usize, String> {
@@ -134,7 +135,7 @@ mod tests {
             topic: "/fix",
             log_time: Stamp(1),
             fields: Fields::new(&members, 0),
-            zero: ZeroStamp::default(),
+            zero: &OnceCell::new(),
             image: None,
             cameras: &CameraNames::default(),
             robot: &OdometryOf::default(),

@@ -1,6 +1,7 @@
 //! A message as a role sees it: its decoded members, read by path, as messages of one meaning differ in where they keep
 //! it.
 
+use std::cell::OnceCell;
 use std::collections::BTreeMap;
 
 use arrow::array::{Array, ArrayRef, AsArray, StructArray};
@@ -63,10 +64,10 @@ pub struct Message<'a> {
     pub topic: &'a str,
     /// When it was recorded.
     pub log_time: Stamp,
-    /// Its members.
+    /// Its members, in a row beside those of other messages of its topic.
     pub fields: Fields<'a>,
-    /// What a stamp of zero means on its topic.
-    pub zero: ZeroStamp,
+    /// What a stamp of zero means among these; empty until one is read.
+    pub zero: &'a OnceCell<ZeroStamp>,
     /// Where its image lies; for roles of images.
     pub image: Option<&'a FoundImage>,
     /// What the session's cameras are called; for roles of images.
@@ -85,20 +86,6 @@ pub struct FoundImage {
 }
 
 impl Message<'_> {
-    /// The header's stamp; the log time where there is none, or where it is zero as all of its topic.
-    ///
-    /// # Errors
-    /// In words, when there is one that cannot be read, or it is zero among others of a clock that does not begin there.
-    pub fn stamp(&self) -> Result<Stamp, String> {
-        match (self.fields.stamp()?, self.zero) {
-            (Some(Stamp(0)), ZeroStamp::Amiss) => Err(
-                "expected a stamp, as others of the topic have one, found zero: its sender did not know the time"
-                    .to_owned(),
-            ),
-            (said, zero) => Ok(zero.read(said).unwrap_or(self.log_time)),
-        }
-    }
-
     /// The header's frame, without the slash that ROS 1 puts in front; empty where there is none.
     pub fn frame(&self) -> String {
         let header = self.fields.text(&["header", "frame_id"]);
@@ -115,7 +102,7 @@ pub const FARTHEST_M: f64 = 1e9;
 /// The decoded members of one message, or of one item in a list of messages.
 #[derive(Debug, Clone, Copy)]
 pub struct Fields<'a> {
-    members: &'a StructArray,
+    pub(super) members: &'a StructArray,
     pub(super) row: usize,
 }
 

@@ -3,18 +3,17 @@
 use arrow::array::{Array, ArrayRef, AsArray, StructArray};
 
 use crate::Stamp;
-use crate::roles::Fields;
 use crate::roles::transforms::TRANSFORMS;
+use crate::roles::{Fields, Message};
 
 /// How seconds of a stamp are spelled, and the nanoseconds beside them.
 const SECONDS: [&str; 3] = ["sec", "secs", "seconds"];
 const NANOSECONDS: [&str; 4] = ["nanosec", "nsec", "nsecs", "nanos"];
 
 /// What a stamp of zero means: senders leave it that do not know the time, and clocks of simulations begin there.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum ZeroStamp {
     /// There is no other on the topic: its sender has no clock, and log times stand in their place.
-    #[default]
     NoClock,
     /// It is the first instant of a clock.
     Begin,
@@ -29,7 +28,7 @@ impl ZeroStamp {
 
     /// What it means among the messages of a topic, or as many as are known together. Stamps that cannot be read say
     /// nothing.
-    pub fn among(messages: &StructArray) -> Self {
+    fn among(messages: &StructArray) -> Self {
         let mut nearest: Option<i64> = None;
         let mut hear = |fields: Fields<'_>| {
             if let Ok(Some(Stamp(stamp))) = fields.stamp()
@@ -49,10 +48,36 @@ impl ZeroStamp {
             Some(_) => Self::Amiss,
         }
     }
+}
 
-    /// A stamp that was read, if it says a time.
-    pub(super) fn read(self, said: Option<Stamp>) -> Option<Stamp> {
-        said.filter(|stamp| *stamp != Stamp(0) || self == Self::Begin)
+impl Message<'_> {
+    /// The header's stamp; the log time where there is none, or where it is zero as all of its topic.
+    ///
+    /// # Errors
+    /// In words, when there is one that cannot be read, or it is zero among others of a clock that does not begin there.
+    pub fn stamp(&self) -> Result<Stamp, String> {
+        let said = self.fields.stamp()?;
+        if said == Some(Stamp(0)) && self.zero_stamp() == ZeroStamp::Amiss {
+            return Err(
+                "expected a stamp, as others of the topic have one, found zero: its sender did not know the time"
+                    .to_owned(),
+            );
+        }
+        Ok(self.time_of(said))
+    }
+
+    /// When it was that a stamp of this message says; the log time where there is none, or where it is zero and no clock
+    /// begins there.
+    pub(super) fn time_of(&self, said: Option<Stamp>) -> Stamp {
+        let is_time = |stamp: &Stamp| *stamp != Stamp(0) || self.zero_stamp() == ZeroStamp::Begin;
+        said.filter(is_time).unwrap_or(self.log_time)
+    }
+
+    /// What a stamp of zero means on its topic: all messages beside it are asked, once.
+    fn zero_stamp(&self) -> ZeroStamp {
+        *self
+            .zero
+            .get_or_init(|| ZeroStamp::among(self.fields.members))
     }
 }
 
@@ -128,13 +153,14 @@ fn members_of(value: &ArrayRef) -> String {
 
 #[cfg(test)]
 mod tests {
+    use std::cell::OnceCell;
     use std::sync::Arc;
 
     use arrow::array::{Int64Array, StringArray, UInt32Array};
 
     use super::*;
     use crate::roles::tests::members;
-    use crate::roles::{CameraNames, Message, OdometryOf};
+    use crate::roles::{CameraNames, OdometryOf};
 
     /// Messages whose header has a stamp of these members, one each.
     fn headers(seconds: (&str, Vec<i64>), fraction: (&str, Vec<u32>)) -> StructArray {
@@ -205,24 +231,8 @@ mod tests {
 
     #[test]
     fn zero_is_a_stamp_where_a_clock_begins_and_the_log_time_where_there_is_none() {
-        let (cameras, robot) = (CameraNames::default(), OdometryOf::default());
         let log_time = Stamp(1_700_000_000_000_000_000);
-        let first = |stamps: Vec<i64>| {
-            let fractions = vec![0; stamps.len()];
-            let messages = headers(("sec", stamps), ("nanosec", fractions));
-            let message = Message {
-                site: "lot",
-                session: "a",
-                topic: "/odom",
-                log_time,
-                fields: Fields::new(&messages, 0),
-                zero: ZeroStamp::among(&messages),
-                image: None,
-                cameras: &cameras,
-                robot: &robot,
-            };
-            message.stamp()
-        };
+        let first = |stamps: Vec<i64>| stamps_of(stamps, log_time).0.swap_remove(0);
         assert_eq!(first(vec![0, 0, 0]), Ok(log_time));
         assert_eq!(first(vec![0, 1, 2]), Ok(Stamp(0)));
         assert_eq!(first(vec![5, 0]), Ok(Stamp(5_000_000_000)));
@@ -230,5 +240,43 @@ mod tests {
             let said = first(amiss).err().unwrap_or_default();
             assert!(said.contains("found zero"), "{said}");
         }
+    }
+
+    #[test]
+    fn what_zero_means_is_asked_when_there_is_one() {
+        let at = |seconds: [i64; 3]| seconds.map(|second| Ok(Stamp(second * 1_000_000_000)));
+        let (read, meaning) = stamps_of(vec![1, 2, 3], Stamp(7));
+        assert_eq!((read, meaning), (at([1, 2, 3]).to_vec(), None));
+        let (read, meaning) = stamps_of(vec![1, 0, 3], Stamp(7));
+        let begin = Some(ZeroStamp::Begin);
+        assert_eq!((read, meaning), (at([1, 0, 3]).to_vec(), begin));
+    }
+
+    /// The stamps of messages of a topic whose headers say these seconds, as they are read, and what zero means where that
+    /// was asked.
+    fn stamps_of(
+        seconds: Vec<i64>,
+        log_time: Stamp,
+    ) -> (Vec<Result<Stamp, String>>, Option<ZeroStamp>) {
+        let (cameras, robot) = (CameraNames::default(), OdometryOf::default());
+        let fractions = vec![0; seconds.len()];
+        let messages = headers(("sec", seconds), ("nanosec", fractions));
+        let zero = OnceCell::new();
+        let stamp = |fields| {
+            let message = Message {
+                site: "lot",
+                session: "a",
+                topic: "/odom",
+                log_time,
+                fields,
+                zero: &zero,
+                image: None,
+                cameras: &cameras,
+                robot: &robot,
+            };
+            message.stamp()
+        };
+        let read = Fields::all(&messages).map(stamp).collect();
+        (read, zero.get().copied())
     }
 }

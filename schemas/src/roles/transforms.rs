@@ -109,10 +109,7 @@ fn transform(message: &Message<'_>, fields: Fields<'_>) -> Result<Transform, Str
         site: message.site.to_owned(),
         session: message.session.to_owned(),
         // Several senders share a topic, and those of fixed transforms often leave the stamp: zero says nothing of others.
-        stamp: message
-            .zero
-            .read(fields.stamp()?)
-            .unwrap_or(message.log_time),
+        stamp: message.time_of(fields.stamp()?),
         parent: named(parent, "parent")?,
         child: named(child, "child")?,
         parent_from_child: pose?,

@@ -10,6 +10,7 @@ mod geometries;
 mod logs;
 mod queries;
 
+use std::cell::OnceCell;
 use std::str::from_utf8;
 use std::sync::Once;
 
@@ -19,9 +20,7 @@ use evermap_language::{
     Host, OperatorSpec, ParameterFault, PortSpec, QueryFault, Source, Vocabulary, parse, utf8,
 };
 use evermap_messages::{Decoder, MessageType};
-use evermap_schemas::roles::{
-    self, CameraNames, Fields, FoundImage, Message, OdometryOf, ZeroStamp,
-};
+use evermap_schemas::roles::{self, CameraNames, Fields, FoundImage, Message, OdometryOf};
 use evermap_schemas::{ImageRef, Stamp};
 use evermap_vision::{Grey, Rgb};
 use evermap_vision::{decode_colour, decode_depth, decode_grey, decode_labels, image_size};
@@ -155,7 +154,7 @@ fn roles(bytes: &[u8]) {
     let members = finished(&mut decoder, &message_type, usize::MAX);
     let (cameras, robot) = (CameraNames::default(), OdometryOf::default());
     let image = image(bytes);
-    let zero = ZeroStamp::among(&members);
+    let zero = OnceCell::new();
     let messages: Vec<Message<'_>> = Fields::all(&members)
         .map(|fields| Message {
             site: "site",
@@ -163,7 +162,7 @@ fn roles(bytes: &[u8]) {
             topic: "/topic",
             log_time: Stamp(1),
             fields,
-            zero,
+            zero: &zero,
             image: Some(&image),
             cameras: &cameras,
             robot: &robot,

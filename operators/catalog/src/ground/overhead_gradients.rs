@@ -1,24 +1,18 @@
 #![doc = include_str!("overhead_gradients.md")]
 
-use evermap_contract::{Emit, Fault, Key, Operator, Port, Sides, Work};
+use evermap_contract::{Emit, Fault, Key, NothingToChoose, Operator, Port, Sides, Work};
 use evermap_schemas::layers::{OverheadGradients, OverheadTile};
-use schemars::JsonSchema;
-use serde::{Deserialize, Serialize};
 
 use crate::inputs::boxes::tile_gradients;
 
 /// See the module's page.
 pub struct GradientsOfTiles;
 
-/// There is nothing to choose.
-#[derive(Debug, Clone, Default, Serialize, Deserialize, JsonSchema)]
-pub struct OverheadGradientsParams {}
-
 impl Operator for GradientsOfTiles {
     const NAME: &'static str = "overhead_gradients";
     const VERSION: u32 = 1;
     const PAGE: &'static str = include_str!("overhead_gradients.md");
-    type Params = OverheadGradientsParams;
+    type Params = NothingToChoose;
     type Output = OverheadGradients;
 
     fn work() -> Work<Self::Params> {
@@ -29,7 +23,7 @@ impl Operator for GradientsOfTiles {
 }
 
 fn gradients(
-    _: &OverheadGradientsParams,
+    _: &NothingToChoose,
     tiles: Vec<OverheadTile>,
     mut sides: Sides,
     emit: &mut Emit<'_>,

@@ -16,7 +16,6 @@ use crate::inputs::people::{ANSWERED_M, learnt};
 /// See the module's page.
 pub struct PersonQuestions;
 
-
 impl Operator for PersonQuestions {
     const NAME: &'static str = "person_questions";
     const VERSION: u32 = 1;

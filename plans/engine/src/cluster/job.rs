@@ -96,6 +96,10 @@ impl RunUnit {
             let fault = Fault::resource(format!("the run that {} is for has ended", unit.label()));
             return Err(coded(&fault));
         }
+        // Whoever was at it when it was given up may have ended since.
+        if unit.is_done().await.map_err(|fault| coded(&fault))? {
+            return Ok(String::new());
+        }
         match note::run(&unit, &self.registry).await {
             Ok(_) => Ok(String::new()),
             // What the machine was short of may be there on another one: let the task fail and be tried again.
@@ -179,4 +183,62 @@ pub fn session_state(config: SessionConfig, registry: &Registry) -> SessionState
     // It replaces nothing, and so cannot fail.
     let _ = state.register_udf(Arc::new(run_unit(registry)));
     state
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::*;
+    use crate::digest::digest;
+    use crate::map::lease::Lease;
+    use crate::map::receipt::{Artifact, Extent, Receipt, Recipe};
+    use crate::map::store::Store;
+    use crate::sql::Limits;
+
+    #[tokio::test]
+    async fn what_is_done_when_its_turn_comes_is_not_done_again() {
+        let folder = tempfile::tempdir().unwrap();
+        let store = Store::open(folder.path().to_str().unwrap(), true).unwrap();
+        let lease = Lease::of_run(&store).await.unwrap();
+        let unit = Unit {
+            store: store.url().to_string(),
+            recipe: Recipe::new(Arc::from([]), Extent::default()),
+            logs: Vec::new(),
+            limits: Limits::default(),
+            lease: lease.name().to_owned(),
+        };
+        let function = RunUnit {
+            registry: Registry::default(),
+            signature: Signature::exact(vec![DataType::Utf8], Volatility::Volatile),
+        };
+        let text = unit_text(&unit).unwrap();
+        // Were it done, it would be found to have nothing to do.
+        let said = function.outcome(&text).await.unwrap();
+        assert!(said.contains("a unit without stages"), "{said}");
+
+        let artifact = Artifact {
+            content: digest(b"rows"),
+            rows: 1,
+            bytes: 4,
+            extent: Extent::default(),
+        };
+        let receipt = Receipt {
+            digest: unit.recipe.digest().unwrap(),
+            recipe: unit.recipe.clone(),
+            artifact: artifact.clone(),
+            skipped: BTreeMap::new(),
+            log_losses: BTreeMap::new(),
+            started: 0,
+            seconds: 0.0,
+            nodes: Vec::new(),
+        };
+        receipt.write(&store).await.unwrap();
+        let without_rows = function.outcome(&text).await.unwrap();
+        assert_eq!(without_rows, said);
+        store
+            .write(&artifact.name(), b"rows".to_vec())
+            .await
+            .unwrap();
+        assert_eq!(function.outcome(&text).await.unwrap(), "");
+    }
 }

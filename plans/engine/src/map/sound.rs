@@ -1,16 +1,17 @@
 //! Which artifacts are known to be what was written, so that none is read over again in every run.
 //!
 //! An artifact whose content was found right is remembered by what its file was like (`FileState`); while that stays,
-//! it is not read again. Files of just now are not remembered: they may change without looking different. What a run
-//! itself writes was hashed on its way out; the next run reads it back once.
+//! it is not read again. Files of just now are not remembered beyond who has read them: they may change without looking
+//! different. What a run itself writes was hashed on its way out; the next run reads it back once.
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::sync::Mutex;
+use std::sync::{Arc, Mutex};
 
 use chrono::{DateTime, Utc};
 use evermap_schemas::{Fault, Kind};
 use object_store::ObjectMeta;
 use object_store::path::Path as ObjectPath;
+use tokio::sync::OnceCell;
 
 use crate::fingerprint::FileState;
 use crate::locked::locked;
@@ -32,6 +33,17 @@ pub struct Sound<'s> {
     /// The artifacts that were there when it was loaded: listed at once, not asked for one by one.
     /// What was found damaged since is asked for again.
     listed: Mutex<BTreeMap<ObjectPath, ObjectMeta>>,
+    /// The files that were read since, by content.
+    read: Mutex<BTreeMap<String, Arc<Reading>>>,
+}
+
+/// A file that is read once, however many ask for it, and at the same time.
+#[derive(Debug)]
+struct Reading {
+    state: FileState,
+    /// Whether it had rested: if not, it may have changed since without looking different.
+    rested: bool,
+    damage: OnceCell<Option<Damage>>,
 }
 
 /// What was found right since a map was opened, for whoever reads it and writes nothing into it.
@@ -79,6 +91,7 @@ impl<'s> Sound<'s> {
             store,
             states: Mutex::new(states),
             listed: Mutex::default(),
+            read: Mutex::default(),
         })
     }
 
@@ -181,19 +194,37 @@ impl<'s> Sound<'s> {
             return Ok(damage);
         };
         let state = FileState::of(self.store.url().as_str(), meta);
-        let rested = state.rests(Utc::now());
         let known = |states: &States| states.get(&artifact.content) == Some(&state);
         if known(&locked(&self.states)) {
             return Ok(None);
         }
-        let damage = artifact.content_damage(self.store).await?;
+        let reading = self.reading(&artifact.content, &state);
+        let read = || artifact.content_damage(self.store);
+        let damage = reading.damage.get_or_try_init(read).await?.clone();
         let mut states = locked(&self.states);
-        if damage.is_none() && rested {
+        if damage.is_none() && reading.rested {
             states.insert(artifact.content.clone(), state);
         } else {
             states.remove(&artifact.content);
         }
         Ok(damage)
+    }
+
+    /// The reading of a file that is like this; a new one unless it was like this when it was last asked for.
+    fn reading(&self, content: &str, state: &FileState) -> Arc<Reading> {
+        let mut read = locked(&self.read);
+        match read.get(content) {
+            Some(reading) if reading.state == *state => Arc::clone(reading),
+            _ => {
+                let reading = Arc::new(Reading {
+                    state: state.clone(),
+                    rested: state.rests(Utc::now()),
+                    damage: OnceCell::new(),
+                });
+                read.insert(content.to_owned(), Arc::clone(&reading));
+                reading
+            }
+        }
     }
 
     /// What is wrong with any of these artifacts.

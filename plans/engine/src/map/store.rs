@@ -68,6 +68,13 @@ impl Store {
         })
     }
 
+    /// The same map, on another object store that is made of its own.
+    #[cfg(test)]
+    pub fn over(self, made: impl FnOnce(Arc<dyn ObjectStore>) -> Arc<dyn ObjectStore>) -> Self {
+        let store = made(self.store);
+        Self { store, ..self }
+    }
+
     /// The map's URL, with a slash behind it.
     pub fn url(&self) -> &Url {
         &self.url

@@ -93,3 +93,6 @@ pub struct RunResult {
     /// Every unit: its stage, its receipt, whether it had been done before.
     pub units: Vec<(String, Receipt, bool)>,
 }
+
+#[cfg(test)]
+mod tests;

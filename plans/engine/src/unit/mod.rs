@@ -15,7 +15,7 @@ use evermap_schemas::Fault;
 use serde::{Deserialize, Serialize};
 
 use crate::map::lease;
-use crate::map::receipt::Recipe;
+use crate::map::receipt::{Receipt, Recipe};
 use crate::map::store::Store;
 use crate::program::Stage;
 use crate::sql::Limits;
@@ -53,6 +53,16 @@ impl Unit {
     /// A resource fault when the store does not answer.
     pub async fn is_wanted(&self) -> Result<bool, Fault> {
         lease::is_held(&Store::open(&self.store, false)?, &self.lease).await
+    }
+
+    /// Whether somebody has done it by now, as far as its receipt says.
+    ///
+    /// # Errors
+    /// A resource fault when the store does not answer.
+    pub async fn is_done(&self) -> Result<bool, Fault> {
+        let store = Store::open(&self.store, false)?;
+        let receipt = Receipt::find(&store, &self.recipe.digest()?).await?;
+        Ok(receipt.is_some())
     }
 
     /// What a person calls it.

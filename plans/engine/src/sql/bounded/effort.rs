@@ -58,7 +58,7 @@ pub enum Effort {
     /// `related(graph, …)`: each area meets each other one.
     Areas,
     /// `regexp_replace(text, …)`, where it looks for every place: at worst each look goes to the end of the text. What is
-    /// usual takes far less, so that it is cut and never refused.
+    /// usual takes far less, so that it is never refused: rows are cut, and a long text ends between two places.
     Places,
 }
 

@@ -162,7 +162,7 @@ fn together(arg: &ColumnarValue, rows: usize) -> Result<f64> {
 }
 
 /// An argument: a value for each row, or one for all.
-struct Argument {
+pub struct Argument {
     is_one: bool,
     column: ArrayRef,
     numbers: Option<Int64Array>,
@@ -171,7 +171,11 @@ struct Argument {
 }
 
 impl Argument {
-    fn new(arg: &ColumnarValue) -> Result<Self> {
+    /// An argument of a call.
+    ///
+    /// # Errors
+    /// When it cannot be read.
+    pub fn new(arg: &ColumnarValue) -> Result<Self> {
         let (column, is_one) = match arg {
             ColumnarValue::Array(column) => (ArrayRef::clone(column), false),
             ColumnarValue::Scalar(value) => (value.to_array()?, true),
@@ -193,8 +197,8 @@ impl Argument {
         Some(column.value(row) as f64)
     }
 
-    /// It as a text.
-    fn text(&self, row: usize) -> Option<&str> {
+    /// It as a text; `None` for null, and for what is none.
+    pub fn text(&self, row: usize) -> Option<&str> {
         let row = if self.is_one { 0 } else { row };
         if !self.column.is_valid(row) {
             return None;
@@ -207,8 +211,8 @@ impl Argument {
         }
     }
 
-    /// It as a number.
-    fn number(&self, row: usize) -> Option<f64> {
+    /// It as a number; `None` for null, and for what is none.
+    pub fn number(&self, row: usize) -> Option<f64> {
         self.at(&self.numbers, row)
     }
 

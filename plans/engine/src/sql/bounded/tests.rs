@@ -228,16 +228,32 @@ async fn rows_that_are_computed_slice_by_slice_are_what_they_were() {
 const SLOW: &str = "SELECT max(levenshtein(repeat(CAST(value % 10 AS TEXT), 4000), repeat(CAST(value % 7 AS TEXT), 4000))) \
                     FROM generate_series(1, 8192)";
 
+/// A query of a text in which an expression looks to the end from every place.
+fn places(call: &str) -> String {
+    let texts = "SELECT repeat('a', 1000000) || n AS text FROM (VALUES (1)) t (n)";
+    format!("SELECT {call} FROM ({texts})")
+}
+
 #[tokio::test]
 async fn slow_functions_end_with_their_query_in_all_its_tasks() {
-    for partitions in [1, 2] {
+    for (partitions, query) in [
+        (1, SLOW.to_owned()),
+        (2, SLOW.to_owned()),
+        (1, places("length(regexp_replace(text, '.*b|a', 'c', 'g'))")),
+        (
+            1,
+            places("length(regexp_replace(text, '.*b|(a)', '<\\1>', 'g'))"),
+        ),
+        (1, places("regexp_count(text, '.*b|a')")),
+        (1, places("regexp_instr(text, '.*b|a', 1, 1000000)")),
+    ] {
         let limits = Limits {
             partitions,
             ..Limits::default()
         };
         let context = context(limits).unwrap();
         let ask = async || {
-            let frame = read_only(&context, SLOW).await?;
+            let frame = read_only(&context, &query).await?;
             frame.collect().await.or_fault()
         };
         let begun = Instant::now();
@@ -258,7 +274,7 @@ async fn slow_functions_end_with_their_query_in_all_its_tasks() {
         assert_eq!(told, Fault::user("stopped"));
         assert!(
             begun.elapsed() < Duration::from_secs(100),
-            "{partitions}: {:?}",
+            "{query} in {partitions}: {:?}",
             begun.elapsed()
         );
     }

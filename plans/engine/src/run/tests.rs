@@ -1,0 +1,183 @@
+//! Runs as a whole, of queries that read nothing.
+#![allow(clippy::unwrap_used, clippy::panic)]
+
+use std::collections::BTreeSet;
+use std::fmt::{self, Display, Formatter};
+use std::ops::Range;
+use std::sync::Arc;
+use std::time::Duration;
+
+use async_trait::async_trait;
+use bytes::Bytes;
+use datafusion::execution::runtime_env::RuntimeEnv;
+use evermap_datasets::{Dataset, Manifest};
+use evermap_language::Source;
+use futures::stream::BoxStream;
+use object_store::path::Path;
+use object_store::{
+    CopyOptions, Error, GetOptions, GetResult, ListResult, MultipartUpload, ObjectMeta,
+    ObjectStore, PutMultipartOptions, PutOptions, PutPayload, PutResult, Result,
+};
+use tokio::sync::watch;
+
+use super::*;
+use crate::map::receipt::LogContent;
+use crate::map::store::ARTIFACTS;
+use crate::prepare::{PlanText, check};
+use crate::run::runner::LocalRunner;
+
+/// Four units that make three files.
+const PLAN: &str = "plan: numbers
+steps:
+  one: { sql: SELECT 1 AS n }
+  two: { sql: SELECT 2 AS n }
+  three: { sql: SELECT 3 AS n }
+  also_three: { sql: SELECT 3 AS n }
+write: [one, two, three, also_three]
+";
+
+async fn program(registry: &Registry) -> Program {
+    let plan = PlanText {
+        source: Source {
+            origin: "numbers.yaml".into(),
+            text: PLAN.into(),
+        },
+        find: |name, _| Err(format!("no plan {name}")),
+        settings: Vec::new(),
+        manifest: None,
+    };
+    let logs = Dataset::open(&RuntimeEnv::default(), &[], None).await;
+    let (_, program) = check(&plan, registry, &logs.unwrap()).await.unwrap();
+    program
+}
+
+/// Runs a program on a session that it does not read.
+async fn executed(store: &Store, program: &Program, registry: &Registry) -> RunResult {
+    let session = MappedSession {
+        log: LogContent {
+            session: "a".into(),
+            site: "lot".into(),
+            content: "a".into(),
+            roles: String::new(),
+        },
+        manifest: Manifest::default(),
+    };
+    let run = Run {
+        program,
+        registry,
+        store,
+        sessions: vec![session],
+        base: Version::latest(store).await.unwrap(),
+        limits: Limits::one_partition(),
+    };
+    let runner = LocalRunner::new(registry.clone(), 2);
+    match run.execute(&runner, &mut |_| ()).await.unwrap() {
+        RunEnd::Done(result) => *result,
+        RunEnd::Overtaken { by } => panic!("version {by} is nobody's"),
+    }
+}
+
+/// A store that counts how often a whole artifact is asked for, and gives none before so many are at once.
+#[derive(Debug)]
+struct Together {
+    inner: Arc<dyn ObjectStore>,
+    asked: watch::Sender<usize>,
+    least: usize,
+}
+
+impl Together {
+    /// How long is waited for the others. Where they are asked for one after another, they never come.
+    const PATIENCE: Duration = Duration::from_secs(20);
+
+    /// Waits until so many are asked for.
+    async fn gather(&self) -> Result<()> {
+        self.asked.send_modify(|asked| *asked += 1);
+        let mut asked = self.asked.subscribe();
+        let all = asked.wait_for(|asked| *asked >= self.least);
+        let came = tokio::time::timeout(Self::PATIENCE, all).await.is_ok();
+        match came {
+            true => Ok(()),
+            false => Err(Error::Generic {
+                store: "together",
+                source: "one is read after the other".into(),
+            }),
+        }
+    }
+}
+
+impl Display for Together {
+    fn fmt(&self, f: &mut Formatter<'_>) -> fmt::Result {
+        f.write_str("together")
+    }
+}
+
+#[async_trait]
+impl ObjectStore for Together {
+    async fn get_opts(&self, location: &Path, options: GetOptions) -> Result<GetResult> {
+        let is_whole = options.range.is_none() && !options.head;
+        if is_whole && location.as_ref().contains(ARTIFACTS) {
+            self.gather().await?;
+        }
+        self.inner.get_opts(location, options).await
+    }
+
+    async fn get_ranges(&self, location: &Path, ranges: &[Range<u64>]) -> Result<Vec<Bytes>> {
+        self.inner.get_ranges(location, ranges).await
+    }
+
+    async fn put_opts(&self, l: &Path, p: PutPayload, o: PutOptions) -> Result<PutResult> {
+        self.inner.put_opts(l, p, o).await
+    }
+
+    async fn put_multipart_opts(
+        &self,
+        l: &Path,
+        o: PutMultipartOptions,
+    ) -> Result<Box<dyn MultipartUpload>> {
+        self.inner.put_multipart_opts(l, o).await
+    }
+
+    fn delete_stream(
+        &self,
+        l: BoxStream<'static, Result<Path>>,
+    ) -> BoxStream<'static, Result<Path>> {
+        self.inner.delete_stream(l)
+    }
+
+    fn list(&self, prefix: Option<&Path>) -> BoxStream<'static, Result<ObjectMeta>> {
+        self.inner.list(prefix)
+    }
+
+    async fn list_with_delimiter(&self, prefix: Option<&Path>) -> Result<ListResult> {
+        self.inner.list_with_delimiter(prefix).await
+    }
+
+    async fn copy_opts(&self, from: &Path, to: &Path, o: CopyOptions) -> Result<()> {
+        self.inner.copy_opts(from, to, o).await
+    }
+}
+
+#[tokio::test]
+async fn what_is_reused_is_read_side_by_side_and_once() {
+    let registry = Registry::default();
+    let program = program(&registry).await;
+    let folder = tempfile::tempdir().unwrap();
+    let store = Store::open(folder.path().to_str().unwrap(), true).unwrap();
+    let first = executed(&store, &program, &registry).await;
+    let units = first.units.iter();
+    let files: BTreeSet<String> = units.map(|(_, done, _)| done.artifact.name()).collect();
+    assert_eq!((first.units.len(), files.len()), (4, 3));
+
+    let (asked, count) = watch::channel(0);
+    let least = files.len();
+    let store = store.over(|inner| {
+        Arc::new(Together {
+            inner,
+            asked,
+            least,
+        })
+    });
+    let again = executed(&store, &program, &registry).await;
+    assert!(again.units.iter().all(|(_, _, cached)| *cached));
+    assert_eq!((again.published, *count.borrow()), (false, least));
+}
