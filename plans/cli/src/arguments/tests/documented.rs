@@ -46,3 +46,56 @@ fn the_page_of_commands_is_what_the_program_says() {
         "read the options again, then run with EVERMAP_BLESS=1: {first:?}"
     );
 }
+
+/// The commands of a script of a shell, each as its words.
+fn commands(script: &str) -> Vec<Vec<String>> {
+    let (mut commands, mut words) = (Vec::new(), Vec::new());
+    let (mut word, mut quote) = (None::<String>, None);
+    let mut letters = script.chars().peekable();
+    while let Some(letter) = letters.next() {
+        match (quote, letter) {
+            (None | Some('"'), '\\') => {
+                // A line that ends so goes on.
+                if let Some(next) = letters.next().filter(|next| *next != '\n') {
+                    word.get_or_insert_default().push(next);
+                }
+            }
+            (Some(open), _) if open == letter => quote = None,
+            (None, '"' | '\'') => {
+                quote = Some(letter);
+                word = Some(word.unwrap_or_default());
+            }
+            (None, '#') if word.is_none() => {
+                while letters.next_if(|next| *next != '\n').is_some() {}
+            }
+            (None, '\n' | '|' | '>' | ';' | '&') => {
+                words.extend(word.take());
+                commands.push(std::mem::take(&mut words));
+            }
+            (None, _) if letter.is_whitespace() => words.extend(word.take()),
+            _ => word.get_or_insert_default().push(letter),
+        }
+    }
+    commands
+}
+
+#[test]
+fn what_the_pages_say_to_run_is_understood() {
+    let entries = std::fs::read_dir(repository().join("docs")).unwrap();
+    let paths = entries.map(|entry| entry.unwrap().path());
+    let pages = paths.filter(|path| path.extension().is_some_and(|ending| ending == "md"));
+    let mut found = 0;
+    for path in pages.chain([repository().join("README.md")]) {
+        let page = std::fs::read_to_string(&path).unwrap();
+        let parts = page.split("```sh\n").skip(1);
+        let scripts = parts.map(|part| part.split("```").next().unwrap());
+        let ours = |words: &Vec<String>| words.first().is_some_and(|word| word == "evermap");
+        for words in scripts.flat_map(commands).filter(ours) {
+            if let Err(error) = Arguments::try_parse_from(&words) {
+                panic!("{}: {words:?}: {error}", path.display());
+            }
+            found += 1;
+        }
+    }
+    assert!(found > 60, "{found}");
+}
