@@ -940,6 +940,36 @@ fn what_a_manifest_names_and_nothing_has_is_warned_of_and_a_surveyed_site_needs_
 }
 
 #[test]
+fn sessions_have_the_same_sites_in_queries_checks_and_runs() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    write_moving(&at("drive.mcap"), &[("odom", "base_link", 0.1)]);
+    // A name like any other.
+    let manifest = "site: default\nsessions: [{ name: drive, files: [drive.mcap] }]\n\
+                    defaults: { origins: { default: [52.25, 10.5, 80.0, 0.0] } }\n";
+    std::fs::write(at("surveyed.yaml"), manifest).unwrap();
+    let surveyed = ["--manifest", "surveyed.yaml"];
+    let alone = ["--sessions", "drive.mcap"];
+    for (plan, given, site) in [
+        ("georeference", surveyed, "default"),
+        ("trajectory", alone, "drive"),
+    ] {
+        let check = [&["check", plan], &given[..]].concat();
+        run_in(folder.path(), &check).expect(0);
+        let map = ["--map", site, "--progress", "none"];
+        let run = [&["run", plan], &map[..], &given[..]].concat();
+        run_in(folder.path(), &run).expect(0);
+        let of_map = [&["--map", site][..], &["SELECT DISTINCT site FROM poses"]].concat();
+        let of_logs = [&given[..], &["SELECT DISTINCT site FROM odometry"]].concat();
+        for asked in [of_map, of_logs] {
+            let sql = [&["sql", "--format", "csv"], &asked[..]].concat();
+            let answer = run_in(folder.path(), &sql).expect(0).stdout;
+            assert_eq!(answer, format!("site\n{site}\n"), "{asked:?}");
+        }
+    }
+}
+
+#[test]
 fn the_same_recording_under_two_names_is_told() {
     let folder = tempfile::tempdir().unwrap();
     let at = |name: &str| folder.path().join(name);

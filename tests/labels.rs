@@ -876,7 +876,7 @@ fn what_goes_to_other_programs_comes_back_as_it_was() {
         ("coco", "labels.json", 2, 1, 3),
         ("cvat", "labels.xml", 2, 0, 4),
         ("label-studio", "labels.json", 6, 1, 3),
-        ("yolo-obb", "labels.txt", 6, 2, 2),
+        ("yolo-obb", "spaces.labels", 6, 2, 2),
     ] {
         let file = lot.path(name);
         let mut export = vec!["annotate", "--map", text(&map), "--export", text(&file)];

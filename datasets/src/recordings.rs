@@ -9,7 +9,7 @@ use object_store::ObjectStoreExt;
 use object_store::path::Path;
 
 use crate::manifest::{Manifest, SessionFiles, Vehicle, of_file, of_name};
-use crate::session::{DEFAULT_SITE, stem};
+use crate::session::stem;
 use crate::stores::{LogFile, resolve};
 use crate::yaml::{LONGEST, from_yaml};
 
@@ -31,7 +31,7 @@ pub struct Recordings {
 pub struct Recording {
     /// Name of the session.
     pub name: String,
-    /// Site of the session.
+    /// Site of the session: the session's own name where nobody says one, as odometry frames of sessions differ.
     pub site: String,
     /// The files, in any order.
     pub files: Vec<LogFile>,
@@ -53,7 +53,11 @@ impl Recordings {
     ) -> Result<Self, Fault> {
         let nothing = Manifest::default();
         let manifest = manifest.unwrap_or(&nothing);
-        let site = manifest.site.as_deref().unwrap_or(DEFAULT_SITE);
+        let recording = |name: String, own: Option<&str>, files| Recording {
+            site: own.or(manifest.site.as_deref()).unwrap_or(&name).to_owned(),
+            name,
+            files,
+        };
         let mut sessions = Vec::new();
         for (index, session) in manifest.sessions.iter().enumerate() {
             let SessionFiles {
@@ -62,19 +66,13 @@ impl Recordings {
                 site: own,
             } = session;
             let files = find_all(runtime, files).await;
-            sessions.push(Recording {
-                name: name.clone(),
-                site: own.as_deref().unwrap_or(site).to_owned(),
-                files: files.map_err(|(fault, file)| of_file(fault, index, file))?,
-            });
+            let files = files.map_err(|(fault, file)| of_file(fault, index, file))?;
+            sessions.push(recording(name.clone(), own.as_deref(), files));
         }
         let listed = find_all(runtime, paths).await.map_err(|(fault, _)| fault)?;
         let listed = grouped(listed).await;
-        sessions.extend(listed.into_iter().map(|(name, files)| Recording {
-            name,
-            site: site.to_owned(),
-            files,
-        }));
+        let listed = listed.into_iter();
+        sessions.extend(listed.map(|(name, files)| recording(name, None, files)));
         check_names(&sessions, manifest.sessions.len())?;
         Ok(Self {
             sessions,
@@ -219,6 +217,40 @@ mod tests {
         let fault = unwritten(fault);
         let folder = format!("{}/", folder.path().display());
         [entry, fault.place.replace(&folder, ""), fault.next]
+    }
+
+    #[tokio::test]
+    async fn a_session_of_which_nobody_says_a_site_is_a_site_of_its_own() {
+        let folder = tempfile::tempdir().unwrap();
+        let at = |name: &str| folder.path().join(name).to_string_lossy().into_owned();
+        for name in ["a.mcap", "b.mcap", "c.mcap"] {
+            std::fs::write(at(name), "").unwrap();
+        }
+        let session = |name: &str, file: &str, site: Option<&str>| SessionFiles {
+            name: name.to_owned(),
+            files: vec![at(file)],
+            site: site.map(str::to_owned),
+        };
+        let sites = async |site: Option<&str>| {
+            let manifest = Manifest {
+                site: site.map(str::to_owned),
+                sessions: vec![
+                    session("one", "a.mcap", Some("street")),
+                    session("two", "b.mcap", None),
+                ],
+                ..Manifest::default()
+            };
+            let runtime = RuntimeEnv::default();
+            let found = Recordings::find(&runtime, &[at("c.mcap")], Some(&manifest)).await;
+            let sessions = found.unwrap().sessions.into_iter();
+            let sites = sessions.map(|session| session.site);
+            sites.collect::<Vec<_>>()
+        };
+        assert_eq!(sites(None).await, ["street", "two", "c"]);
+        assert_eq!(
+            sites(Some("default")).await,
+            ["street", "default", "default"]
+        );
     }
 
     #[tokio::test]

@@ -23,15 +23,12 @@ use crate::losses::{Entry, FileLosses, Loss, LossLedger, Reason};
 use crate::manifest::{Roles, Vehicle};
 use crate::stores::LogFile;
 
-/// Site of a session whose manifest names none.
-pub const DEFAULT_SITE: &str = "default";
-
 /// One drive.
 #[derive(Debug, Clone)]
 pub struct Session {
     /// Name, unique within a dataset.
     pub name: Arc<str>,
-    /// Site that was driven.
+    /// Site that was driven: its own name where nobody says one.
     pub site: Arc<str>,
     /// Its files, in time order. Part `i` of an image reference is `parts[i]`.
     pub parts: Vec<Arc<LogPart>>,

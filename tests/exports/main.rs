@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 
 use evermap_tests::recording::is_read_as_the_map_says;
 use evermap_tests::server::{Server, map, script};
-use evermap_tests::{Finished, evermap, plan_command, simulate, text};
+use evermap_tests::{Finished, evermap, page, plan_command, simulate, text};
 
 /// Danger and speeds where the vehicle was, as cells of 2 m.
 const CELLS: &str = r#"
@@ -218,6 +218,24 @@ fn on_earth(folder: &Path) -> PathBuf {
     roads
 }
 
+/// The queries of docs/queries.md that lead from lanes to messages: they are about simulated drives.
+fn what_lanes_were_made_from_is_answered_as_the_docs_ask(map: &Path) {
+    let page = page("docs/queries.md");
+    let part = page.split("## What rows were made from").nth(1).unwrap();
+    let lines = part.split("```").nth(1).unwrap().lines();
+    let queries = lines.filter_map(|line| {
+        let query = line.strip_prefix("evermap sql --map map \"")?;
+        Some(query.strip_suffix('"')?.replace("\\\"", "\""))
+    });
+    let queries: Vec<String> = queries.collect();
+    assert_eq!(queries.len(), 3);
+    for query in queries {
+        let asked = ["sql", "--map", text(map), "--format", "json", &query];
+        let rows = evermap(&asked).expect(0).json();
+        assert!(!rows.as_array().unwrap().is_empty(), "{query}");
+    }
+}
+
 fn exported(map: &Path, out: &Path, what: &[&str]) {
     let head = ["export", "--map", text(map), "--out", text(out)];
     evermap(&[&head, what].concat()).expect(0);
@@ -227,6 +245,7 @@ fn exported(map: &Path, out: &Path, what: &[&str]) {
 fn a_map_of_a_car_with_a_receiver_opens_where_it_is() {
     let folder = tempfile::tempdir().unwrap();
     let roads = on_earth(folder.path());
+    what_lanes_were_made_from_is_answered_as_the_docs_ask(&roads);
     let file = |name: &str| folder.path().join(name);
     let [parquet, geojson, local] = ["lanes.parquet", "lanes.geojson", "local.geojson"].map(file);
     exported(&roads, &parquet, &["lanes", "--format", "parquet"]);

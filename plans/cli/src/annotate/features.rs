@@ -82,7 +82,7 @@ pub fn read(
     match value.get("type") {
         Some(_) => geojson::features(&value, losses).map_err(at),
         None => Err(at(Fault::user(
-            "expected GeoJSON, COCO, CVAT (XML), Label Studio (JSON) or YOLO's oriented boxes (.txt), found other JSON",
+            "expected GeoJSON, COCO, CVAT (XML), Label Studio (JSON) or YOLO's oriented boxes (text), found other JSON",
         ))),
     }
 }

@@ -2,6 +2,9 @@
 use super::*;
 use clap::CommandFactory;
 
+#[cfg(feature = "cluster")]
+mod documented;
+
 fn read(line: &str) -> Result<Command, clap::Error> {
     Arguments::try_parse_from(line.split_whitespace()).map(|arguments| arguments.command)
 }

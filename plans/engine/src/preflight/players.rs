@@ -2,8 +2,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use evermap_datasets::session::DEFAULT_SITE;
-use evermap_datasets::{Dataset, Manifest, Session};
+use evermap_datasets::{Dataset, Manifest};
 
 use crate::preflight::{Roles, is_shared};
 
@@ -35,7 +34,7 @@ impl Players {
         for session in &given.sessions {
             let name = session.name.to_string();
             let player = players.entry(name).or_insert_with(|| Player {
-                site: site_of(session).to_owned(),
+                site: session.site.to_string(),
                 plays: Roles::new(),
             });
             // Of logs at hand it is known which topics have no messages.
@@ -74,13 +73,5 @@ impl Players {
             site.extend(plays.cloned());
         }
         shared
-    }
-}
-
-/// The site of a session. Where nobody says that sessions are of one place, each is a place of its own.
-fn site_of(session: &Session) -> &str {
-    match &*session.site {
-        DEFAULT_SITE => &session.name,
-        site => site,
     }
 }

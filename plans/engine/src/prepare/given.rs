@@ -101,13 +101,11 @@ fn replaces(now: &MappedSession, before: &MappedSession) -> Option<Replaced> {
     })
 }
 
-/// The site of a session: what is said now, else what was said when it was mapped, else its own. Where nobody says
-/// that sessions are of one place, each is a place of its own: their odometry frames differ.
+/// The site of a session: what is said now, else what was said when it was mapped, else its own.
 fn site_of(session: &Session, sited: bool, mapped: &BTreeMap<String, MappedSession>) -> String {
     match mapped.get(&*session.name) {
-        _ if sited => session.site.to_string(),
-        Some(mapped) => mapped.log.site.clone(),
-        None => session.name.to_string(),
+        Some(mapped) if !sited => mapped.log.site.clone(),
+        _ => session.site.to_string(),
     }
 }
 

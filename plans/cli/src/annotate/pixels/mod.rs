@@ -45,18 +45,17 @@ pub enum Program {
 }
 
 impl Program {
-    /// That of a file, by what it holds; `None` where it is none of them.
+    /// That of a file, by what it holds; `None` where it is none of them. Text that is nothing else, and may be empty, is
+    /// YOLO's if it is called so.
     pub(super) fn of(path: &Path, text: &str) -> Option<Self> {
-        if path.extension().is_some_and(|extension| extension == "txt") {
-            return Some(Self::YoloObb);
-        }
         if text.trim_start().starts_with('<') {
             return Some(Self::Cvat);
         }
-        match serde_json::from_str(text).ok()? {
-            Value::Array(_) => Some(Self::LabelStudio),
-            Value::Object(members) if members.contains_key("images") => Some(Self::Coco),
-            _ => None,
+        let is_text = path.extension().is_some_and(|extension| extension == "txt");
+        match serde_json::from_str(text) {
+            Ok(Value::Array(_)) => Some(Self::LabelStudio),
+            Ok(Value::Object(members)) => members.contains_key("images").then_some(Self::Coco),
+            _ => (is_text || yolo::begins(text)).then_some(Self::YoloObb),
         }
     }
 

@@ -137,6 +137,23 @@ fn what_a_program_has_no_form_for_is_counted() {
     }
 }
 
+#[test]
+fn yolo_is_told_by_its_first_line_and_by_its_name_where_there_is_none() {
+    let of = |name: &str, text: &str| Program::of(Path::new(name), text);
+    let a_box = "\n0 0.1 0.1 0.2 0.1 0.2 0.2 0.1 0.2\n";
+    for (name, text, program) in [
+        ("a.labels", a_box, Some(Program::YoloObb)),
+        ("a.labels", "0 0.1 0.1 0.2 0.1", None),
+        ("a.labels", "", None),
+        ("a.txt", "", Some(Program::YoloObb)),
+        ("a.txt", "0 0.1 0.1 0.2 0.1", Some(Program::YoloObb)),
+        ("a.txt", "<annotations/>", Some(Program::Cvat)),
+        ("a.txt", r#"{"type": "FeatureCollection"}"#, None),
+    ] {
+        assert_eq!(of(name, text), program, "{name} {text:?}");
+    }
+}
+
 /// As the programs' documentation shows them.
 #[test]
 fn what_the_programs_write_is_read() {
@@ -153,7 +170,12 @@ fn what_the_programs_write_is_read() {
 </annotations>"#;
     let yolo = "1 0.225 0.2666667 0.275 0.2666667 0.275 0.4 0.225 0.4\n1 0.1 0.2\n";
     let expected = [[14.5, 16.0], [15.5, 16.0], [15.5, 14.0], [14.5, 14.0]];
-    for (name, text, lost) in [("a.xml", cvat, 2), ("a.txt", yolo, 1)] {
+    let files = [
+        ("a.xml", cvat, 2),
+        ("a.txt", yolo, 1),
+        ("a.labels", yolo, 1),
+    ];
+    for (name, text, lost) in files {
         let path = folder.path().join(name);
         let mut losses = Losses::default();
         let program = Program::of(&path, text).unwrap();

@@ -26,6 +26,14 @@ pub(super) fn classes(path: &Path) -> Result<Vec<String>, Fault> {
     }
 }
 
+/// Whether a text begins with a box.
+pub(super) fn begins(text: &str) -> bool {
+    let mut lines = text.lines().filter(|line| !line.trim().is_empty());
+    lines
+        .next()
+        .is_some_and(|line| corners(line, [1, 1]).is_some())
+}
+
 /// The boxes of a picture of this size. Of a class without a name its number is what it marks.
 pub(super) fn read(
     text: &str,
