@@ -86,6 +86,8 @@ impl Gate {
                 "0A000",
                 "search_path is not followed: name tables whole, such as v1.lanes",
             )),
+            // Instants stay in UTC, and drivers name their zone when they come in.
+            Statement::Set(set) if sets_zone(set) => Verdict::Done("SET"),
             Statement::Set(set) if is_of_a_client(set) => Verdict::Passes,
             Statement::Savepoint { .. } => Verdict::Done("SAVEPOINT"),
             Statement::ReleaseSavepoint { .. } => Verdict::Done("RELEASE"),
@@ -149,6 +151,17 @@ fn leads_elsewhere(set: &Set) -> bool {
     is_path && texts != "DEFAULT" && schemas.any(|name| !USUAL.contains(&name))
 }
 
+/// The setting that says in which zone instants are.
+const ZONE: &str = "timezone";
+
+fn sets_zone(set: &Set) -> bool {
+    match set {
+        Set::SetTimeZone { .. } => true,
+        Set::SingleAssignment { variable, .. } => variable.to_string().eq_ignore_ascii_case(ZONE),
+        _ => false,
+    }
+}
+
 /// Whether a setting is one that drivers make for themselves, and none of the engine's, which all clients share.
 fn is_of_a_client(set: &Set) -> bool {
     match set {
@@ -156,8 +169,7 @@ fn is_of_a_client(set: &Set) -> bool {
             let name = variable.to_string();
             !name.contains('.')
         }
-        Set::SetTimeZone { .. }
-        | Set::SetTransaction { .. }
+        Set::SetTransaction { .. }
         | Set::SetSessionParam(_)
         | Set::SetNames { .. }
         | Set::SetNamesDefault {} => true,
@@ -218,13 +230,14 @@ fn shown(statement: &Statement, client: &(dyn ClientInfo + Send + Sync)) -> Opti
     let Statement::ShowVariable { variable } = statement else {
         return None;
     };
-    let [name] = variable.as_slice() else {
-        return None;
+    let words = variable.iter().map(|word| word.value.to_lowercase());
+    let name = match words.collect::<Vec<_>>().join(" ") {
+        zone if zone == "time zone" => ZONE.to_owned(),
+        name => name,
     };
-    let name = name.value.to_lowercase();
     let mut settings = SETTINGS.iter();
     let (shown, _) = settings.find(|(known, _)| known.eq_ignore_ascii_case(&name))?;
-    if client.metadata().contains_key(&name) {
+    if name != ZONE && client.metadata().contains_key(&name) {
         return None;
     }
     let query = format!("SELECT current_setting('{shown}') AS \"{shown}\"");
@@ -345,6 +358,20 @@ mod tests {
     use arrow::error::ArrowError;
 
     use super::*;
+
+    #[test]
+    fn a_zone_is_taken_and_never_set() {
+        for text in [
+            "SET TIME ZONE 'Europe/Berlin'",
+            "SET LOCAL TIME ZONE 'Europe/Berlin'",
+            "SET timezone TO 'Europe/Berlin'",
+            "SET SESSION TimeZone = 'Europe/Berlin'",
+        ] {
+            let said = Parser::parse_sql(&PostgreSqlDialect {}, text).unwrap();
+            let verdict = Gate::verdict(&said[0]);
+            assert!(matches!(verdict, Verdict::Done("SET")), "{text}");
+        }
+    }
 
     #[test]
     fn what_the_parser_and_the_engine_say_has_the_number_that_postgres_has() {
