@@ -233,6 +233,20 @@ def wire(postgres, message):
         return answer
 
 
+def at_once(postgres, ca, protocol):
+    """What a server answers to somebody who begins with TLS, and says to speak this protocol."""
+    context = ssl.create_default_context(cafile=ca)
+    context.set_alpn_protocols([protocol])
+    host, port = postgres.split(":")
+    try:
+        with socket.create_connection((host, int(port)), timeout=5) as plain:
+            with context.wrap_socket(plain, server_hostname="localhost") as private:
+                private.sendall(start(user="ada", database="map"))
+                return private.recv(1024)
+    except OSError:
+        return b""
+
+
 def said(kind, body):
     return kind + struct.pack("!i", len(body) + 4) + body
 
@@ -476,6 +490,10 @@ def main(kind, http, postgres, ca=None):
             with connection.cursor() as cursor:
                 cursor.execute("SELECT 1 AS one")
                 check(cursor.fetchone() == (1,), "Flight SQL by TLS")
+        # As with `sslnegotiation=direct`: who comes in is asked for a password.
+        for protocol, asked in [("postgresql", b"R"), ("http/1.1", b"")]:
+            answer = at_once(postgres, ca, protocol)
+            check(answer[:1] == asked, f"TLS at once, to speak {protocol}: {answer!r}")
         with connect(postgres, password="byron-1815", sslmode="require") as connection:
             check(connection.execute("SELECT 1").fetchone() == (1,), "by TLS")
         try:
