@@ -247,6 +247,22 @@ def at_once(postgres, ca, protocol):
         return b""
 
 
+def goes(postgres, free):
+    """Who goes in the middle of a query leaves its place; `free` says how many there are."""
+    leaving = connect(postgres, password="byron-1815", sslmode="require")
+    leaving.pgconn.send_query(b"SELECT count(*) FROM generate_series(1, 1000000) a, generate_series(1, 1000000) b")
+    leaving.pgconn.flush()
+    time.sleep(1)
+    places = [free()]
+    # It says that it goes, which nobody reads before its query ends.
+    leaving.close()
+    begun = time.monotonic()
+    while places[-1] != 32 and time.monotonic() < begun + 20:
+        time.sleep(0.5)
+        places.append(free())
+    check(places[0] == 31 and places[-1] == 32, f"places while somebody goes: {places}")
+
+
 def said(kind, body):
     return kind + struct.pack("!i", len(body) + 4) + body
 
@@ -496,6 +512,13 @@ def main(kind, http, postgres, ca=None):
             check(answer[:1] == asked, f"TLS at once, to speak {protocol}: {answer!r}")
         with connect(postgres, password="byron-1815", sslmode="require") as connection:
             check(connection.execute("SELECT 1").fetchone() == (1,), "by TLS")
+
+        def free():
+            metrics = http.replace("127.0.0.1", "localhost") + "/metrics"
+            _, told = status(metrics, token, scheme="https", context=context)
+            return int(re.search(rb"^evermap_queries_free (\d+)$", told, re.MULTILINE)[1])
+
+        goes(postgres, free)
         try:
             connect(postgres, password="byron-1815", sslmode="disable").close()
             check(False, "Postgres without TLS")
