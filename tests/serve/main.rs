@@ -69,6 +69,15 @@ fn dashboards_learn_what_there_is() {
     ended("serve/questions.py", &[&server.postgres]);
 }
 
+/// What drivers say around queries.
+#[test]
+fn drivers_are_understood() {
+    let folder = tempfile::tempdir().unwrap();
+    let map = map(folder.path());
+    let server = Server::start(&map, &[]);
+    ended("serve/drivers.py", &[&server.postgres]);
+}
+
 /// What psql asks of Postgres' own tables, to list and describe.
 #[test]
 fn psql_describes_a_map() {

@@ -34,6 +34,7 @@ use crate::serve::postgres::kept::deallocate;
 use crate::serve::postgres::nested::{as_json, as_texts, without_bytes};
 use crate::serve::postgres::postgis::with_views;
 use crate::serve::postgres::spatial::in_our_words;
+use crate::serve::postgres::transactions::refused;
 use crate::serve::postgres::{error, said};
 
 /// What handles statements, in this order.
@@ -91,6 +92,7 @@ impl Gate {
             Statement::Set(set) if is_of_a_client(set) => Verdict::Passes,
             Statement::Savepoint { .. } => Verdict::Done("SAVEPOINT"),
             Statement::ReleaseSavepoint { .. } => Verdict::Done("RELEASE"),
+            // To a savepoint: an aborted transaction goes on by now.
             Statement::Rollback { .. } => Verdict::Done("ROLLBACK"),
             Statement::Discard { .. } => Verdict::Done("DISCARD ALL"),
             Statement::Deallocate { .. } => Verdict::Done("DEALLOCATE"),
@@ -185,6 +187,9 @@ impl QueryHook for Gate {
         context: &SessionContext,
         client: &mut dyn HookClient,
     ) -> Option<PgWireResult<Response>> {
+        if let Some(error) = refused(statement, client) {
+            return Some(Err(error));
+        }
         forget(statement, client);
         if let Some(query) = shown(statement, client) {
             return Reading.handle_simple_query(&query, context, client).await;
