@@ -78,6 +78,15 @@ fn drivers_are_understood() {
     ended("serve/drivers.py", &[&server.postgres]);
 }
 
+/// By asyncpg, which asks for types that it has not heard of, and what is built on it.
+#[test]
+fn asynchronous_programs_read_a_map() {
+    let folder = tempfile::tempdir().unwrap();
+    let map = map(folder.path());
+    let server = Server::start(&map, &[]);
+    ended("serve/asynchronous.py", &[&server.postgres]);
+}
+
 /// What psql asks of Postgres' own tables, to list and describe.
 #[test]
 fn psql_describes_a_map() {

@@ -28,13 +28,14 @@ use pgwire::types::format::FormatOptions;
 
 use crate::serve::postgres::catalog::{in_its_words, is_of_catalog, no_rows};
 use crate::serve::postgres::cursors;
-use crate::serve::postgres::functions::SETTINGS;
+use crate::serve::postgres::functions::{NO_PATH, PATH, SETTINGS, leads_elsewhere};
 use crate::serve::postgres::geometry::{as_extended, as_text, told};
 use crate::serve::postgres::kept::deallocate;
 use crate::serve::postgres::nested::{as_json, as_texts, without_bytes};
 use crate::serve::postgres::postgis::with_views;
 use crate::serve::postgres::spatial::in_our_words;
 use crate::serve::postgres::transactions::refused;
+use crate::serve::postgres::types::of_types;
 use crate::serve::postgres::{error, said};
 
 /// What handles statements, in this order.
@@ -82,11 +83,9 @@ impl Gate {
             | Statement::Declare { .. }
             | Statement::Fetch { .. }
             | Statement::Close { .. } => Verdict::Passes,
-            Statement::Set(set) if leads_elsewhere(set) => Verdict::Refused(error(
-                "ERROR",
-                "0A000",
-                "search_path is not followed: name tables whole, such as v1.lanes",
-            )),
+            Statement::Set(set) if sets_other_path(set) => {
+                Verdict::Refused(error("ERROR", "0A000", NO_PATH))
+            }
             // Instants stay in UTC, and drivers name their zone when they come in.
             Statement::Set(set) if sets_zone(set) => Verdict::Done("SET"),
             Statement::Set(set) if is_of_a_client(set) => Verdict::Passes,
@@ -134,10 +133,8 @@ fn forget(statement: &Statement, client: &dyn HookClient) {
     deallocate(extensions, store, forgotten.as_deref());
 }
 
-/// Whether it asks that tables be looked for elsewhere than among the layers of the newest version, which would answer of other
-/// rows than are asked for.
-fn leads_elsewhere(set: &Set) -> bool {
-    const USUAL: [&str; 5] = ["public", "pg_catalog", "$user", "topology", ""];
+/// Whether it asks that tables be looked for elsewhere.
+fn sets_other_path(set: &Set) -> bool {
     let Set::SingleAssignment {
         variable, values, ..
     } = set
@@ -146,11 +143,8 @@ fn leads_elsewhere(set: &Set) -> bool {
     };
     let texts: Vec<String> = values.iter().map(ToString::to_string).collect();
     let texts = texts.join(",");
-    let mut schemas = texts
-        .split(',')
-        .map(|name| name.trim().trim_matches(['\'', '"']));
-    let is_path = variable.to_string().eq_ignore_ascii_case("search_path");
-    is_path && texts != "DEFAULT" && schemas.any(|name| !USUAL.contains(&name))
+    let is_path = variable.to_string().eq_ignore_ascii_case(PATH);
+    is_path && texts != "DEFAULT" && leads_elsewhere(&texts)
 }
 
 /// The setting that says in which zone instants are.
@@ -257,7 +251,7 @@ pub(super) async fn reading(
     statement: &Statement,
     context: &SessionContext,
 ) -> PgWireResult<LogicalPlan> {
-    let statement = &with_views(in_our_words(statement.clone()));
+    let statement = &with_views(in_our_words(of_types(statement.clone())));
     if !is_of_catalog(statement) {
         return planned(statement.clone(), context).await;
     }

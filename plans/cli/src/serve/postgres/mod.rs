@@ -17,6 +17,7 @@ mod postgis;
 mod spatial;
 mod startup;
 mod transactions;
+mod types;
 mod wire;
 
 use std::sync::{Arc, LazyLock};
