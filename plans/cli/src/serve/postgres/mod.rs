@@ -347,7 +347,12 @@ impl QueryParser for Parser {
     }
 
     fn get_parameter_types(&self, prepared: &Prepared) -> PgWireResult<Vec<Type>> {
-        TYPES.get_parameter_types(prepared)
+        match prepared {
+            (_, Some((statement, _))) if types::asks_for_types(statement) => {
+                Ok(vec![Type::OID_ARRAY])
+            }
+            _ => TYPES.get_parameter_types(prepared),
+        }
     }
 
     fn get_result_schema(

@@ -1,5 +1,6 @@
 //! What asyncpg asks of types that it has not heard of, such as `geometry`. It follows arrays, domains and composites by a
-//! recursion that the planner does not know; the types that a map has beyond Postgres' own are made of no others.
+//! recursion that the planner does not know. A map has lists of Postgres' own types, and types that are made of no others: of
+//! these all is told at once.
 
 use datafusion::sql::sqlparser::ast::Statement;
 use datafusion::sql::sqlparser::dialect::PostgreSqlDialect;
@@ -11,8 +12,8 @@ const ASKED: &str = "typeinfo_tree";
 /// Its columns, of the types whose numbers a client binds.
 const TOLD: &str = "SELECT t.oid AS oid, n.nspname AS ns, t.typname AS name, t.typtype AS kind, \
      CAST(NULL AS INT) AS basetype, t.typelem AS elemtype, t.typdelim AS elemdelim, CAST(NULL AS INT) AS range_subtype, \
-     CAST(NULL AS INT[]) AS attrtypoids, CAST(NULL AS TEXT[]) AS attrnames, CAST(0 AS INT) AS depth, \
-     CAST(NULL AS TEXT) AS basetype_name, format_type(t.typelem, t.typtypmod) AS elemtype_name, \
+     CAST(NULL AS TEXT) AS attrtypoids, CAST(NULL AS TEXT[]) AS attrnames, CAST(0 AS INT) AS depth, \
+     CAST(NULL AS TEXT) AS basetype_name, CASE WHEN t.typelem <> 0 THEN format_type(t.typelem, t.typtypmod) END AS elemtype_name, \
      CAST(NULL AS TEXT) AS range_subtype_name \
      FROM pg_catalog.pg_type t JOIN pg_catalog.pg_namespace n ON n.oid = t.typnamespace \
      WHERE array_has(CAST($1 AS INT[]), t.oid)";
@@ -27,7 +28,9 @@ pub fn of_types(statement: Statement) -> Statement {
     told.unwrap_or(statement)
 }
 
-fn asks_for_types(statement: &Statement) -> bool {
+/// Whether it is that question. Its only value is a list of numbers of types, and is to be told as one: of a list of other
+/// numbers asyncpg would have to ask in turn.
+pub fn asks_for_types(statement: &Statement) -> bool {
     let Statement::Query(query) = statement else {
         return false;
     };
