@@ -233,6 +233,36 @@ def wire(postgres, message):
         return answer
 
 
+def at_once(postgres, ca, protocol):
+    """What a server answers to somebody who begins with TLS, and says to speak this protocol."""
+    context = ssl.create_default_context(cafile=ca)
+    context.set_alpn_protocols([protocol])
+    host, port = postgres.split(":")
+    try:
+        with socket.create_connection((host, int(port)), timeout=5) as plain:
+            with context.wrap_socket(plain, server_hostname="localhost") as private:
+                private.sendall(start(user="ada", database="map"))
+                return private.recv(1024)
+    except OSError:
+        return b""
+
+
+def goes(postgres, free):
+    """Who goes in the middle of a query leaves its place; `free` says how many there are."""
+    leaving = connect(postgres, password="byron-1815", sslmode="require")
+    leaving.pgconn.send_query(b"SELECT count(*) FROM generate_series(1, 1000000) a, generate_series(1, 1000000) b")
+    leaving.pgconn.flush()
+    time.sleep(1)
+    places = [free()]
+    # It says that it goes, which nobody reads before its query ends.
+    leaving.close()
+    begun = time.monotonic()
+    while places[-1] != 32 and time.monotonic() < begun + 20:
+        time.sleep(0.5)
+        places.append(free())
+    check(places[0] == 31 and places[-1] == 32, f"places while somebody goes: {places}")
+
+
 def said(kind, body):
     return kind + struct.pack("!i", len(body) + 4) + body
 
@@ -476,8 +506,19 @@ def main(kind, http, postgres, ca=None):
             with connection.cursor() as cursor:
                 cursor.execute("SELECT 1 AS one")
                 check(cursor.fetchone() == (1,), "Flight SQL by TLS")
+        # As with `sslnegotiation=direct`: who comes in is asked for a password.
+        for protocol, asked in [("postgresql", b"R"), ("http/1.1", b"")]:
+            answer = at_once(postgres, ca, protocol)
+            check(answer[:1] == asked, f"TLS at once, to speak {protocol}: {answer!r}")
         with connect(postgres, password="byron-1815", sslmode="require") as connection:
             check(connection.execute("SELECT 1").fetchone() == (1,), "by TLS")
+
+        def free():
+            metrics = http.replace("127.0.0.1", "localhost") + "/metrics"
+            _, told = status(metrics, token, scheme="https", context=context)
+            return int(re.search(rb"^evermap_queries_free (\d+)$", told, re.MULTILINE)[1])
+
+        goes(postgres, free)
         try:
             connect(postgres, password="byron-1815", sslmode="disable").close()
             check(False, "Postgres without TLS")

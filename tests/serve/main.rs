@@ -69,6 +69,24 @@ fn dashboards_learn_what_there_is() {
     ended("serve/questions.py", &[&server.postgres]);
 }
 
+/// What drivers say around queries.
+#[test]
+fn drivers_are_understood() {
+    let folder = tempfile::tempdir().unwrap();
+    let map = map(folder.path());
+    let server = Server::start(&map, &[]);
+    ended("serve/drivers.py", &[&server.postgres]);
+}
+
+/// By asyncpg, which asks for types that it has not heard of, and what is built on it.
+#[test]
+fn asynchronous_programs_read_a_map() {
+    let folder = tempfile::tempdir().unwrap();
+    let map = map(folder.path());
+    let server = Server::start(&map, &[]);
+    ended("serve/asynchronous.py", &[&server.postgres]);
+}
+
 /// What psql asks of Postgres' own tables, to list and describe.
 #[test]
 fn psql_describes_a_map() {
@@ -355,16 +373,23 @@ fn a_query_that_only_takes_time_leaves_its_thread_soon_after_its_end() {
     assert!(server.computed() - before > 100, "nothing was computed");
     assert!(rests(&server), "a thread computes on after the deadline");
 
-    let mut gone = std::net::TcpStream::connect(&server.postgres).unwrap();
+    // A client's end is noticed long before the time of its query.
+    let patient = Server::start(&map, &["--timeout-s", "3600"]);
+    let before = patient.computed();
+    let mut gone = std::net::TcpStream::connect(&patient.postgres).unwrap();
     let start = said("", b"\0\x03\0\0user\0me\0database\0map\0\0");
     let query = said("Q", format!("{slow}\0").as_bytes());
     gone.write_all(&[start, query].concat()).unwrap();
     std::thread::sleep(std::time::Duration::from_secs(1));
+    assert!(patient.computed() > before, "nothing was computed");
     drop(gone);
     assert!(
-        rests(&server),
+        rests(&patient),
         "a thread computes on for a client that is gone"
     );
+    let told = got(&patient, "/metrics");
+    assert!(told.contains("evermap_queries_free 32\n"), "{told}");
+    drop(patient);
 
     let answer = asked(
         &server,

@@ -67,3 +67,5 @@ SELECT * FROM poses_flat ORDER BY session, stamp LIMIT 3;
 SELECT session, max(map_from_vehicle_x) AS east FROM poses_flat GROUP BY session ORDER BY session;
 SELECT count(*) AS n FROM v1.poses_flat;
 SELECT arrow_cast(-1, 'Int8') AS a, arrow_cast(5, 'Int8') AS b, [arrow_cast(-1, 'Int8'), NULL, arrow_cast(127, 'Int8')] AS c;
+SELECT stamp::text FROM poses ORDER BY stamp, session LIMIT 1;
+SELECT lane::text, length_m FROM lanes ORDER BY lane;

@@ -3,6 +3,7 @@
 Their questions as they write them (Grafana 11, Metabase 0.50), and what a map must answer.
 """
 
+import datetime
 import sys
 
 import psycopg
@@ -109,7 +110,18 @@ def main(postgres):
     assert ("length_m", "float8") in [row[:2] for row in fields], fields
     assert ask(METABASE_REFERENCES) == []
     assert ask(KEYS) == [("lanes_pkey", "p", "site"), ("lanes_pkey", "p", "lane")]
-    assert ask("SHOW timezone") == [("UTC",)]
+    # Instants are in UTC, whatever zone a client names.
+    for said in ["SET TIME ZONE 'Europe/Berlin'", "SET timezone TO 'Europe/Berlin'"]:
+        client.execute(said)
+        for asked in ["SHOW timezone", "SHOW TIME ZONE", "SELECT current_setting('TimeZone')"]:
+            assert ask(asked) == [("UTC",)], (said, asked)
+    noon = datetime.datetime(2026, 1, 1, 12, tzinfo=datetime.timezone.utc)
+    for asked, values in [("SELECT now()", []), ("SELECT %s::timestamptz", [noon])]:
+        answer = client.execute(asked, values)
+        assert answer.description[0].type_code == psycopg.adapters.types["timestamptz"].oid, asked
+        (instant,) = answer.fetchone()
+        assert instant.utcoffset() == datetime.timedelta(0), (asked, instant)
+        assert not values or instant == noon, (asked, instant)
     # A member of a nested column, as Postgres has it.
     ((x, y),) = ask("SELECT (map_from_vehicle).x, (p.map_from_vehicle).y FROM poses p ORDER BY stamp LIMIT 1")
     assert isinstance(x, float) and isinstance(y, float)

@@ -15,7 +15,7 @@ use evermap_engine::error::OrFault;
 use evermap_engine::map::Map;
 use evermap_engine::map::columns::of_table;
 use evermap_engine::map::tables::declaration;
-use evermap_engine::sql::{Limits, context};
+use evermap_engine::sql::{Limits, context, in_utc};
 use evermap_schemas::{Fault, Layer, LayerRow, rows};
 use serde_json::Value;
 use tokio::sync::OnceCell;
@@ -49,6 +49,7 @@ impl MapReader {
     /// # Errors
     /// As [`Map::context`].
     pub fn context(&self, context: SessionContext) -> Result<SessionContext, Fault> {
+        in_utc(&context);
         self.map.context(context, &self.registry)
     }
 

@@ -18,6 +18,7 @@ mod term;
 mod volatile;
 mod widths;
 mod written;
+mod zone;
 
 use std::collections::HashSet;
 use std::sync::Arc;
@@ -60,6 +61,7 @@ pub use size::{QUERY_WORDS, STACK_BYTES, check_size};
 pub use term::Term;
 pub(crate) use term::go_on;
 pub use volatile::{OpenValues, volatile_functions};
+pub use zone::in_utc;
 
 /// What an engine process may use.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]

@@ -21,7 +21,7 @@ use evermap_engine::error::{OrFault, fault_of};
 use evermap_engine::map::Map;
 use evermap_engine::map::columns::{of_answer, of_table};
 use evermap_engine::sql::{
-    Limits, NO_TABLE, OpenValues, TABLES, catalog, check_size, context, explained, plan_of,
+    Limits, NO_TABLE, OpenValues, TABLES, catalog, check_size, context, explained, in_utc, plan_of,
 };
 use evermap_functions::{asks_graphs, use_indexes};
 use evermap_language::listed;
@@ -133,6 +133,7 @@ impl Tables {
     /// A log that cannot be opened, a manifest with a fault, or two sessions of one name.
     pub async fn of_logs(sessions: &SessionArgs, limits: Limits) -> Result<Self, Fault> {
         let context = context(limits)?;
+        in_utc(&context);
         let dataset = sessions::open(&context.runtime_env(), sessions).await?;
         dataset.register(&context)?;
         add_hidden_topics(&context, &dataset)?;

@@ -1,12 +1,15 @@
 //! Columns of an answer that would have one name: `SELECT stamp, CAST(stamp AS DATE)`. Others call both `stamp`, and
-//! DataFusion refuses them, as a cast has the name of what it casts. Here the later ones are `stamp_1`, `stamp_2` ….
+//! DataFusion refuses them, as a cast has the name of what it casts. Here the later ones are `stamp_1`, `stamp_2` …. So are
+//! casts of what rows are ordered by, `SELECT CAST(stamp AS DATE) … ORDER BY stamp`: DataFusion has the column itself beside
+//! them until rows are in order.
 
 use std::collections::HashSet;
 use std::convert::Infallible;
 use std::ops::ControlFlow;
 
 use datafusion::sql::sqlparser::ast::{
-    Expr, Ident, Select, SelectItem, Statement, VisitMut, VisitorMut,
+    Expr, Ident, OrderByKind, Query, Select, SelectItem, SetExpr, Statement, VisitMut, VisitorMut,
+    visit_expressions,
 };
 
 /// Names the columns of a statement's queries apart. What has a name of its own keeps it.
@@ -19,22 +22,67 @@ struct Apart;
 impl VisitorMut for Apart {
     type Break = Infallible;
 
+    fn pre_visit_query(&mut self, query: &mut Query) -> ControlFlow<Infallible> {
+        if let (SetExpr::Select(select), Some(order)) = (query.body.as_mut(), &query.order_by)
+            && let OrderByKind::Expressions(order) = &order.kind
+        {
+            let by = order.iter().map(|by| &by.expr);
+            let by = ordered_by(by, &select.projection);
+            apart(&mut select.projection, &by);
+        }
+        ControlFlow::Continue(())
+    }
+
     fn pre_visit_select(&mut self, select: &mut Select) -> ControlFlow<Infallible> {
         if select.projection.len() > 1 {
-            apart(&mut select.projection);
+            apart(&mut select.projection, &[]);
         }
         ControlFlow::Continue(())
     }
 }
 
-fn apart(items: &mut [SelectItem]) {
+/// What rows are ordered by, columns and what functions make of them, but for values that are columns of the answer.
+fn ordered_by<'e>(by: impl Iterator<Item = &'e Expr>, items: &[SelectItem]) -> Vec<Vec<String>> {
+    let is_item = |by: &Expr| {
+        let mut items = items.iter();
+        items.any(|item| matches!(item, SelectItem::UnnamedExpr(expr) if expr == by))
+    };
+    let mut ordered = Vec::new();
+    for by in by.filter(|by| !is_item(by)) {
+        let _ = visit_expressions(by, |found| {
+            if let Expr::Identifier(_) | Expr::CompoundIdentifier(_) | Expr::Function(_) = found {
+                ordered.push(path(found));
+            }
+            ControlFlow::<()>::Continue(())
+        });
+    }
+    ordered
+}
+
+/// Whether it is a cast of one of these, which may be named with their table or without.
+fn casts_one(expr: &Expr, ordered: &[Vec<String>]) -> bool {
+    let cast = path(expr);
+    let mut ordered = ordered.iter();
+    is_cast(expr) && ordered.any(|by| by.ends_with(&cast) || cast.ends_with(by))
+}
+
+fn is_cast(expr: &Expr) -> bool {
+    match expr {
+        Expr::Nested(expr) => is_cast(expr),
+        other => matches!(other, Expr::Cast { .. }),
+    }
+}
+
+/// Names items apart, and casts of what rows are ordered by.
+fn apart(items: &mut [SelectItem], ordered: &[Vec<String>]) {
     let mut taken: HashSet<String> = items.iter().filter_map(name).collect();
+    taken.extend(ordered.iter().filter_map(|column| column.last().cloned()));
     let mut seen = HashSet::new();
     for item in items {
         let SelectItem::UnnamedExpr(expr) = item else {
             continue;
         };
-        if seen.insert(path(expr).join(".")) {
+        if !casts_one(expr, ordered) && seen.insert(path(expr).join(".")) {
             continue;
         }
         let called = last(expr);
@@ -96,7 +144,7 @@ mod tests {
     #[tokio::test]
     async fn columns_of_one_name_are_told_apart() {
         let context = context(Limits::one_partition()).unwrap();
-        let cases: [(&str, &[&str]); 7] = [
+        let cases: [(&str, &[&str]); 14] = [
             ("x, x::INT", &["x", "x_1"]),
             (
                 "x, CAST(X AS DOUBLE), (x), 2 AS x_1",
@@ -111,6 +159,14 @@ mod tests {
             ),
             // DataFusion names a cast by what it casts, with its table.
             ("CAST(x AS INT), x + 1 AS y", &["t.x", "y"]),
+            ("x::TEXT FROM t ORDER BY x LIMIT 1", &["x_1"]),
+            ("(t.x::TEXT), x FROM t ORDER BY x + 1", &["x_1", "x"]),
+            ("x::TEXT FROM t GROUP BY x ORDER BY t.x", &["x_1"]),
+            ("max(x)::TEXT FROM t ORDER BY max(x)", &["max(x)_1"]),
+            // What is in order anyway has the name that it has elsewhere.
+            ("x::TEXT FROM t ORDER BY x::TEXT", &["t.x"]),
+            ("x::TEXT FROM t ORDER BY 1", &["t.x"]),
+            ("(x) FROM t ORDER BY x", &["x"]),
         ];
         for (columns, expected) in cases {
             let from = if columns.contains("FROM") {
@@ -130,6 +186,12 @@ mod tests {
             let rows = frame.collect().await.unwrap();
             assert_eq!(rows[0].num_rows(), 1, "{query}");
         }
+        // By the column, and not by what is made of it.
+        let query = "SELECT x::TEXT FROM (VALUES (9), (10)) AS t(x) ORDER BY x";
+        let frame = read_only(&context, query).await.unwrap();
+        let rows = frame.collect().await.unwrap();
+        let first = arrow::util::display::array_value_to_string(rows[0].column(0), 0).unwrap();
+        assert_eq!(first, "9");
         let frame = read_only(&context, "SELECT 1, 1").await.unwrap();
         assert_eq!(frame.schema().fields()[1].name(), "1_1");
         let said = read_only(&context, "SELECT 1 AS a, 2 AS a").await;

@@ -9,7 +9,7 @@ use std::sync::Arc;
 
 use arrow::datatypes::{DataType, Field};
 use datafusion::common::{DFSchema, ScalarValue, TableReference};
-use datafusion::logical_expr::{ColumnarValue, EmptyRelation, LogicalPlan, Signature, Volatility};
+use datafusion::logical_expr::{EmptyRelation, LogicalPlan};
 use datafusion::prelude::SessionContext;
 use datafusion::sql::parser::Statement as Parsed;
 use datafusion::sql::resolve::resolve_table_references;
@@ -21,7 +21,7 @@ use datafusion::sql::sqlparser::ast::{
 use datafusion_postgres::datafusion_pg_catalog::pg_catalog::create_pg_table_is_visible;
 
 use crate::serve::postgres::expression::expression;
-use crate::serve::postgres::functions::function;
+use crate::serve::postgres::functions::constant;
 use crate::serve::postgres::keys::of_key;
 
 /// Schemas of Postgres' own.
@@ -58,10 +58,11 @@ const LISTS: [&str; 5] = ["datacl", "nspacl", "relacl", "reloptions", "typacl"];
 const KEYS: [&str; 3] = ["confkey", "conkey", "indkey"];
 
 /// Functions of Postgres on what a map has none of: their answer is null.
-const OF_NOTHING: [&str; 16] = [
+const OF_NOTHING: [&str; 17] = [
     "col_description",
     "json_build_object",
     "obj_description",
+    "pg_advisory_unlock_all",
     "pg_database_size",
     "pg_get_function_arguments",
     "pg_get_function_identity_arguments",
@@ -86,10 +87,7 @@ pub fn complete_catalog(context: &SessionContext) {
     ];
     context.register_udf(create_pg_table_is_visible().with_aliases(visible));
     for name in OF_NOTHING {
-        let takes = Signature::variadic_any(Volatility::Immutable);
-        context.register_udf(function(name, takes, DataType::Utf8, |_| {
-            Ok(ColumnarValue::Scalar(ScalarValue::Utf8(None)))
-        }));
+        context.register_udf(constant(name, ScalarValue::Utf8(None)));
     }
 }
 

@@ -1,6 +1,7 @@
 //! One connection: what its client sends is looked at, answered, and refused with a reason where it is no message.
 
 use std::io;
+use std::os::fd::{AsFd, BorrowedFd};
 use std::sync::Arc;
 
 use futures::{SinkExt, StreamExt};
@@ -11,6 +12,7 @@ use pgwire::messages::{PgWireBackendMessage, PgWireFrontendMessage};
 use pgwire::tokio::server::{
     MaybeTls, PgWireMessageServerCodec, negotiate_tls, process_error, process_message,
 };
+use tokio::io::Interest;
 use tokio::net::TcpStream;
 use tokio_rustls::TlsAcceptor;
 use tokio_util::codec::Framed;
@@ -66,14 +68,24 @@ impl Handlers {
         Ok(())
     }
 
-    /// Answers a message; whether it was the last.
+    /// Answers a message; whether it was the last. What is answered ends with its client, as nobody reads its messages
+    /// meanwhile.
     async fn answer(
         &self,
         client: &mut Client,
         message: PgWireFrontendMessage,
     ) -> io::Result<bool> {
         let is_extended = message.is_extended_query();
-        if let Err(error) = self.process(client, message).await {
+        let watched = may_take_long(&message).then(|| beside(client)).flatten();
+        let done = tokio::select! {
+            biased;
+            done = self.process(client, message) => done,
+            () = gone(watched) => {
+                tracing::debug!("a client is gone before it has its answer");
+                return Ok(true);
+            }
+        };
+        if let Err(error) = done {
             let info = ErrorInfo::from(error);
             let is_last = info.is_fatal();
             let error = PgWireError::UserError(Box::new(info));
@@ -112,6 +124,46 @@ impl Handlers {
     }
 }
 
+/// Whether it is planned or run what a client asks.
+fn may_take_long(message: &PgWireFrontendMessage) -> bool {
+    matches!(
+        message,
+        PgWireFrontendMessage::Query(_)
+            | PgWireFrontendMessage::Parse(_)
+            | PgWireFrontendMessage::Execute(_)
+    )
+}
+
+/// The socket of a client once more, to be watched while it is written to; `None` where the system has no room for it.
+fn beside(client: &Client) -> Option<TcpStream> {
+    match client.get_ref().stream() {
+        MaybeTls::Plain(socket) => again(socket.as_fd()),
+        MaybeTls::Tls(private) => again(private.get_ref().0.as_fd()),
+        _ => None,
+    }
+}
+
+fn again(socket: BorrowedFd<'_>) -> Option<TcpStream> {
+    let socket = socket.try_clone_to_owned().ok()?;
+    TcpStream::from_std(socket.into()).ok()
+}
+
+/// Ends when the client at the other end of a socket is gone, or has closed its side, whatever it sent before. Never, where
+/// that cannot be watched: what it asked ends with its time then.
+async fn gone(socket: Option<TcpStream>) {
+    if let Some(socket) = socket {
+        while let Ok(ready) = socket.ready(Interest::READABLE).await {
+            if ready.is_read_closed() {
+                return;
+            }
+            // What came is left to who reads: from here on the system tells of what comes next.
+            let unread = || Err::<(), _>(io::ErrorKind::WouldBlock.into());
+            let _ = socket.try_io(Interest::READABLE, unread);
+        }
+    }
+    std::future::pending().await
+}
+
 /// Says what is wrong with a message, and closes: nobody knows where the next one begins.
 async fn refuse(client: &mut Client, error: PgWireError) -> io::Result<()> {
     let message = match error {
@@ -128,4 +180,34 @@ async fn refuse(client: &mut Client, error: PgWireError) -> io::Result<()> {
     SinkExt::<PgWireBackendMessage>::close(client).await?;
     client.get_mut().pass_over().await;
     Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use std::time::Duration;
+
+    use tokio::io::AsyncWriteExt;
+    use tokio::net::TcpListener;
+    use tokio::time::timeout;
+
+    use super::*;
+
+    #[tokio::test]
+    async fn a_client_that_goes_is_noticed_whatever_it_sent_before() {
+        let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
+        let client = TcpStream::connect(listener.local_addr().unwrap());
+        let mut client = client.await.unwrap();
+        let (socket, _) = listener.accept().await.unwrap();
+        let mut leaves = std::pin::pin!(gone(again(socket.as_fd())));
+        let moment = Duration::from_millis(50);
+        for sent in [&b""[..], b"what nobody reads", b" and more of it"] {
+            client.write_all(sent).await.unwrap();
+            assert!(timeout(moment, leaves.as_mut()).await.is_err(), "{sent:?}");
+        }
+        drop(client);
+        let leaves = timeout(Duration::from_secs(60), leaves);
+        assert!(leaves.await.is_ok());
+        assert!(timeout(moment, gone(None)).await.is_err());
+    }
 }

@@ -34,7 +34,7 @@ pub fn function(
 
 /// What the server says of itself, for clients that ask how they may speak to it: that of Postgres of the version whose
 /// clients are understood.
-pub const SETTINGS: [(&str, &str); 14] = [
+pub const SETTINGS: [(&str, &str); 15] = [
     ("DateStyle", "ISO, MDY"),
     ("TimeZone", "UTC"),
     ("client_encoding", "UTF8"),
@@ -42,6 +42,7 @@ pub const SETTINGS: [(&str, &str); 14] = [
     ("default_transaction_read_only", "on"),
     ("integer_datetimes", "on"),
     ("is_superuser", "off"),
+    ("jit", "off"),
     ("lc_collate", "C"),
     ("max_index_keys", "32"),
     ("search_path", "public"),
@@ -72,6 +73,47 @@ pub fn current_setting() -> ScalarUDF {
         };
         let values: StringArray = names.as_string::<i32>().iter().map(value).collect();
         Ok(ColumnarValue::Array(Arc::new(values)))
+    })
+}
+
+/// The setting that says where tables are looked for.
+pub const PATH: &str = "search_path";
+
+/// What is told of one that leads elsewhere.
+pub const NO_PATH: &str = "search_path is not followed: name tables whole, such as v1.lanes";
+
+/// Whether tables are to be looked for elsewhere than among the layers of the newest version, which would answer of other rows
+/// than are asked for.
+pub fn leads_elsewhere(path: &str) -> bool {
+    const USUAL: [&str; 5] = ["public", "pg_catalog", "$user", "topology", ""];
+    let mut schemas = path
+        .split(',')
+        .map(|name| name.trim().trim_matches(['\'', '"']));
+    schemas.any(|name| !USUAL.contains(&name))
+}
+
+/// `set_config(name, value, is_local)`: the value, which changes nothing here; an error for a search path that leads
+/// elsewhere.
+pub fn set_config() -> ScalarUDF {
+    let takes = vec![DataType::Utf8, DataType::Utf8, DataType::Boolean];
+    let takes = Signature::exact(takes, Volatility::Immutable);
+    function("set_config", takes, DataType::Utf8, |args| {
+        let columns = ColumnarValue::values_to_arrays(args)?;
+        let [names, values, _] = columns.as_slice() else {
+            return exec_err!("expected three arguments, found {}", columns.len());
+        };
+        let mut settings = names
+            .as_string::<i32>()
+            .iter()
+            .zip(values.as_string::<i32>());
+        let is_followed = |(name, value): (Option<&str>, Option<&str>)| {
+            let is_path = name.is_some_and(|name| name.eq_ignore_ascii_case(PATH));
+            !(is_path && value.is_some_and(leads_elsewhere))
+        };
+        match settings.all(is_followed) {
+            true => Ok(ColumnarValue::Array(Arc::clone(values))),
+            false => exec_err!("{NO_PATH}"),
+        }
     })
 }
 
@@ -225,6 +267,16 @@ pub fn constant(name: &str, value: ScalarValue) -> ScalarUDF {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_search_path_that_leads_elsewhere_is_told_from_those_that_drivers_set() {
+        for path in ["", "public", "\"$user\", public", "'public'", "pg_catalog"] {
+            assert!(!leads_elsewhere(path), "{path}");
+        }
+        for path in ["v1", "public, v1", "\"v1\"", "'monday'"] {
+            assert!(leads_elsewhere(path), "{path}");
+        }
+    }
 
     #[test]
     fn lists_are_written_as_arrays() {

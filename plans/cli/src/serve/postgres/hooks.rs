@@ -28,12 +28,14 @@ use pgwire::types::format::FormatOptions;
 
 use crate::serve::postgres::catalog::{in_its_words, is_of_catalog, no_rows};
 use crate::serve::postgres::cursors;
-use crate::serve::postgres::functions::SETTINGS;
+use crate::serve::postgres::functions::{NO_PATH, PATH, SETTINGS, leads_elsewhere};
 use crate::serve::postgres::geometry::{as_extended, as_text, told};
 use crate::serve::postgres::kept::deallocate;
 use crate::serve::postgres::nested::{as_json, as_texts, without_bytes};
 use crate::serve::postgres::postgis::with_views;
 use crate::serve::postgres::spatial::in_our_words;
+use crate::serve::postgres::transactions::refused;
+use crate::serve::postgres::types::of_types;
 use crate::serve::postgres::{error, said};
 
 /// What handles statements, in this order.
@@ -81,14 +83,15 @@ impl Gate {
             | Statement::Declare { .. }
             | Statement::Fetch { .. }
             | Statement::Close { .. } => Verdict::Passes,
-            Statement::Set(set) if leads_elsewhere(set) => Verdict::Refused(error(
-                "ERROR",
-                "0A000",
-                "search_path is not followed: name tables whole, such as v1.lanes",
-            )),
+            Statement::Set(set) if sets_other_path(set) => {
+                Verdict::Refused(error("ERROR", "0A000", NO_PATH))
+            }
+            // Instants stay in UTC, and drivers name their zone when they come in.
+            Statement::Set(set) if sets_zone(set) => Verdict::Done("SET"),
             Statement::Set(set) if is_of_a_client(set) => Verdict::Passes,
             Statement::Savepoint { .. } => Verdict::Done("SAVEPOINT"),
             Statement::ReleaseSavepoint { .. } => Verdict::Done("RELEASE"),
+            // To a savepoint: an aborted transaction goes on by now.
             Statement::Rollback { .. } => Verdict::Done("ROLLBACK"),
             Statement::Discard { .. } => Verdict::Done("DISCARD ALL"),
             Statement::Deallocate { .. } => Verdict::Done("DEALLOCATE"),
@@ -130,10 +133,8 @@ fn forget(statement: &Statement, client: &dyn HookClient) {
     deallocate(extensions, store, forgotten.as_deref());
 }
 
-/// Whether it asks that tables be looked for elsewhere than among the layers of the newest version, which would answer of other
-/// rows than are asked for.
-fn leads_elsewhere(set: &Set) -> bool {
-    const USUAL: [&str; 5] = ["public", "pg_catalog", "$user", "topology", ""];
+/// Whether it asks that tables be looked for elsewhere.
+fn sets_other_path(set: &Set) -> bool {
     let Set::SingleAssignment {
         variable, values, ..
     } = set
@@ -142,11 +143,19 @@ fn leads_elsewhere(set: &Set) -> bool {
     };
     let texts: Vec<String> = values.iter().map(ToString::to_string).collect();
     let texts = texts.join(",");
-    let mut schemas = texts
-        .split(',')
-        .map(|name| name.trim().trim_matches(['\'', '"']));
-    let is_path = variable.to_string().eq_ignore_ascii_case("search_path");
-    is_path && texts != "DEFAULT" && schemas.any(|name| !USUAL.contains(&name))
+    let is_path = variable.to_string().eq_ignore_ascii_case(PATH);
+    is_path && texts != "DEFAULT" && leads_elsewhere(&texts)
+}
+
+/// The setting that says in which zone instants are.
+const ZONE: &str = "timezone";
+
+fn sets_zone(set: &Set) -> bool {
+    match set {
+        Set::SetTimeZone { .. } => true,
+        Set::SingleAssignment { variable, .. } => variable.to_string().eq_ignore_ascii_case(ZONE),
+        _ => false,
+    }
 }
 
 /// Whether a setting is one that drivers make for themselves, and none of the engine's, which all clients share.
@@ -156,8 +165,7 @@ fn is_of_a_client(set: &Set) -> bool {
             let name = variable.to_string();
             !name.contains('.')
         }
-        Set::SetTimeZone { .. }
-        | Set::SetTransaction { .. }
+        Set::SetTransaction { .. }
         | Set::SetSessionParam(_)
         | Set::SetNames { .. }
         | Set::SetNamesDefault {} => true,
@@ -173,6 +181,9 @@ impl QueryHook for Gate {
         context: &SessionContext,
         client: &mut dyn HookClient,
     ) -> Option<PgWireResult<Response>> {
+        if let Some(error) = refused(statement, client) {
+            return Some(Err(error));
+        }
         forget(statement, client);
         if let Some(query) = shown(statement, client) {
             return Reading.handle_simple_query(&query, context, client).await;
@@ -218,13 +229,14 @@ fn shown(statement: &Statement, client: &(dyn ClientInfo + Send + Sync)) -> Opti
     let Statement::ShowVariable { variable } = statement else {
         return None;
     };
-    let [name] = variable.as_slice() else {
-        return None;
+    let words = variable.iter().map(|word| word.value.to_lowercase());
+    let name = match words.collect::<Vec<_>>().join(" ") {
+        zone if zone == "time zone" => ZONE.to_owned(),
+        name => name,
     };
-    let name = name.value.to_lowercase();
     let mut settings = SETTINGS.iter();
     let (shown, _) = settings.find(|(known, _)| known.eq_ignore_ascii_case(&name))?;
-    if client.metadata().contains_key(&name) {
+    if name != ZONE && client.metadata().contains_key(&name) {
         return None;
     }
     let query = format!("SELECT current_setting('{shown}') AS \"{shown}\"");
@@ -239,7 +251,7 @@ pub(super) async fn reading(
     statement: &Statement,
     context: &SessionContext,
 ) -> PgWireResult<LogicalPlan> {
-    let statement = &with_views(in_our_words(statement.clone()));
+    let statement = &with_views(in_our_words(of_types(statement.clone())));
     if !is_of_catalog(statement) {
         return planned(statement.clone(), context).await;
     }
@@ -345,6 +357,20 @@ mod tests {
     use arrow::error::ArrowError;
 
     use super::*;
+
+    #[test]
+    fn a_zone_is_taken_and_never_set() {
+        for text in [
+            "SET TIME ZONE 'Europe/Berlin'",
+            "SET LOCAL TIME ZONE 'Europe/Berlin'",
+            "SET timezone TO 'Europe/Berlin'",
+            "SET SESSION TimeZone = 'Europe/Berlin'",
+        ] {
+            let said = Parser::parse_sql(&PostgreSqlDialect {}, text).unwrap();
+            let verdict = Gate::verdict(&said[0]);
+            assert!(matches!(verdict, Verdict::Done("SET")), "{text}");
+        }
+    }
 
     #[test]
     fn what_the_parser_and_the_engine_say_has_the_number_that_postgres_has() {

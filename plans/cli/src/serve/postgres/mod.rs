@@ -16,6 +16,8 @@ mod nested;
 mod postgis;
 mod spatial;
 mod startup;
+mod transactions;
+mod types;
 mod wire;
 
 use std::sync::{Arc, LazyLock};
@@ -43,6 +45,7 @@ use pgwire::api::{ClientInfo, ClientPortalStore, ConnectionManager, METADATA_DAT
 use pgwire::error::{ErrorInfo, PgWireError, PgWireResult};
 use pgwire::messages::PgWireBackendMessage;
 use pgwire::messages::extendedquery::Execute;
+use pgwire::messages::simplequery::Query;
 use tokio::net::TcpListener;
 use tokio::sync::Semaphore;
 
@@ -108,6 +111,17 @@ impl Queries {
 
 #[async_trait]
 impl SimpleQueryHandler for Queries {
+    async fn on_query<C>(&self, client: &mut C, query: Query) -> PgWireResult<()>
+    where
+        C: ClientInfo + ClientPortalStore + Sink<PgWireBackendMessage> + Unpin + Send + Sync,
+        C::PortalStore: PortalStore,
+        C::Error: std::fmt::Debug,
+        PgWireError: From<<C as Sink<PgWireBackendMessage>>::Error>,
+    {
+        transactions::before_query(client, &query.query);
+        self._on_query(client, query).await
+    }
+
     async fn do_query<C>(&self, client: &mut C, query: &str) -> PgWireResult<Vec<Response>>
     where
         C: ClientInfo + ClientPortalStore + Sink<PgWireBackendMessage> + Unpin + Send + Sync,
@@ -144,6 +158,7 @@ impl ExtendedQueryHandler for Queries {
         PgWireError: From<<C as Sink<PgWireBackendMessage>>::Error>,
     {
         message.max_rows = rows_wanted(message.max_rows, self.bounds.rows)?;
+        transactions::before_execute(client, &message);
         self._on_execute(client, message).await
     }
 
@@ -332,7 +347,12 @@ impl QueryParser for Parser {
     }
 
     fn get_parameter_types(&self, prepared: &Prepared) -> PgWireResult<Vec<Type>> {
-        TYPES.get_parameter_types(prepared)
+        match prepared {
+            (_, Some((statement, _))) if types::asks_for_types(statement) => {
+                Ok(vec![Type::OID_ARRAY])
+            }
+            _ => TYPES.get_parameter_types(prepared),
+        }
     }
 
     fn get_result_schema(

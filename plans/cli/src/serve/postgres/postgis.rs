@@ -21,6 +21,7 @@ use datafusion::physical_plan::streaming::PartitionStream;
 use datafusion::prelude::SessionContext;
 use datafusion::scalar::ScalarValue;
 use datafusion::sql::sqlparser::ast::{ObjectNamePart, Statement, visit_relations_mut};
+use datafusion_postgres::arrow_pg::datatypes::PG_CHAR_KEY;
 use datafusion_postgres::datafusion_pg_catalog::pg_catalog::oid_field::{kind::REGPROC, oid_field};
 use pgwire::api::Type;
 use tokio::sync::OnceCell;
@@ -28,7 +29,8 @@ use tokio::sync::OnceCell;
 use crate::output::GEOMETRY;
 use crate::serve::postgres::format::format;
 use crate::serve::postgres::functions::{
-    ARRAY_OUT, FormatType, SETTINGS, as_binary, constant, current_setting, expand_array, to_regtype,
+    ARRAY_OUT, FormatType, SETTINGS, as_binary, constant, current_setting, expand_array,
+    set_config, to_regtype,
 };
 use crate::serve::postgres::geometry::OID;
 use crate::serve::postgres::keys;
@@ -56,6 +58,7 @@ pub async fn complete(context: &SessionContext, name: &str) -> Result<()> {
     };
     let types = with_geometry(read(&inner, "pg_type").await?)?;
     let types = by_number(types, &numbers(&read(&inner, "pg_proc").await?, "proname")?)?;
+    let types = with_kinds(types)?;
     let numbers = numbers(&types, "typname")?;
     let types = MemTable::try_new(types.schema(), vec![vec![types]])?;
     let relations = inner.table("pg_class").await?.map(|table| table.schema());
@@ -92,6 +95,7 @@ pub async fn complete(context: &SessionContext, name: &str) -> Result<()> {
         to_regtype(numbers),
         ARRAY_OUT.clone(),
         current_setting(),
+        set_config(),
         as_binary(),
         expand_array(),
         format(),
@@ -285,6 +289,24 @@ fn by_number(types: RecordBatch, functions: &BTreeMap<String, i32>) -> Result<Re
     Ok(RecordBatch::try_new(
         Arc::new(Schema::new(fields)),
         columns,
+    )?)
+}
+
+/// The types with their kinds as of Postgres' type `"char"`: asyncpg compares them with bytes.
+fn with_kinds(types: RecordBatch) -> Result<RecordBatch> {
+    let schema = types.schema();
+    let fields = schema.fields().iter().map(|field| {
+        if field.name() != "typtype" {
+            return Arc::clone(field);
+        }
+        let mut known = field.metadata().clone();
+        known.insert(PG_CHAR_KEY.to_owned(), String::new());
+        Arc::new(field.as_ref().clone().with_metadata(known))
+    });
+    let fields: Vec<FieldRef> = fields.collect();
+    Ok(RecordBatch::try_new(
+        Arc::new(Schema::new(fields)),
+        types.columns().to_vec(),
     )?)
 }
 

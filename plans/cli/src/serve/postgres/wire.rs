@@ -59,6 +59,11 @@ impl<S> Checked<S> {
         }
     }
 
+    /// The stream itself.
+    pub fn stream(&self) -> &S {
+        &self.stream
+    }
+
     /// From the next message on, the sender is in.
     pub fn let_in(&mut self) {
         self.sender = Sender::In;
