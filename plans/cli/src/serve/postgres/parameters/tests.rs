@@ -123,8 +123,8 @@ async fn a_null_of_no_type_keeps_its_place() {
 
 #[tokio::test]
 async fn exact_numbers_are_compared_as_they_are() {
-    let query = "SELECT CAST(9007199254740992 AS BIGINT) = $1 AS same, $1 + 0.5 AS sum, 3 = ANY($2) AS any, \
-                 3 BETWEEN $3 AND 4 AS within, 3 IN ($1, $3) AS in";
+    let query = "SELECT CAST(9007199254740992 AS BIGINT) = $1 AS a, $1 + 0.5 AS b, 3 = ANY($2) AS c, \
+                 3 BETWEEN $3 AND 4 AS d, 3 IN ($1, $3) AS e";
     let types = [
         Some(Type::NUMERIC),
         Some(Type::NUMERIC_ARRAY),
