@@ -60,6 +60,15 @@ fn programs_read_geometries_as_from_postgis() {
     }
 }
 
+/// What programs bind is what it would be as a literal, by cursors too.
+#[test]
+fn programs_bind_values_as_they_do_to_postgres() {
+    let folder = tempfile::tempdir().unwrap();
+    let map = map(folder.path());
+    let server = Server::start(&map, &[]);
+    ended("serve/bound.py", &[&server.postgres]);
+}
+
 /// What dashboards ask before they show anything.
 #[test]
 fn dashboards_learn_what_there_is() {

@@ -76,9 +76,10 @@ pub fn bound(client: &(impl ClientInfo + ?Sized), portal: &Portal<Prepared>) -> 
 }
 
 /// Opens cursors and fetches from them, and forgets those that are closed, or whose transaction ends; `None` for what the
-/// library has an answer to.
+/// library has an answer to. A cursor that is declared with parameters has the plan of its query, with their values.
 pub async fn answered(
     statement: &Statement,
+    plan: Option<&LogicalPlan>,
     context: &SessionContext,
     client: &mut dyn HookClient,
 ) -> Option<PgWireResult<Response>> {
@@ -86,7 +87,7 @@ pub async fn answered(
     match statement {
         Statement::Declare { stmts } => {
             for declared in stmts {
-                if let Err(error) = open(declared, context, client).await {
+                if let Err(error) = open(declared, plan, context, client).await {
                     return Some(Err(error));
                 }
             }
@@ -125,21 +126,29 @@ pub async fn answered(
     }
 }
 
-/// The plan of what fetches from a cursor that is open.
-pub fn planned(
+/// The plan of what fetches from a cursor that is open, or of the query that one is declared for.
+pub async fn planned(
     statement: &Statement,
+    context: &SessionContext,
     client: &(dyn ClientInfo + Send + Sync),
-) -> Option<LogicalPlan> {
-    let Statement::Fetch { name, .. } = statement else {
-        return None;
-    };
-    let open_ones = Open::of(client);
-    let held = open_ones.held();
-    held.get(&name.value).map(|cursor| cursor.plan.clone())
+) -> Option<PgWireResult<LogicalPlan>> {
+    match statement {
+        Statement::Fetch { name, .. } => {
+            let open_ones = Open::of(client);
+            let held = open_ones.held();
+            held.get(&name.value).map(|cursor| Ok(cursor.plan.clone()))
+        }
+        Statement::Declare { stmts } => {
+            let query = stmts.first()?.for_query.clone()?;
+            Some(reading(&Statement::Query(query), context).await)
+        }
+        _ => None,
+    }
 }
 
 async fn open(
     declared: &Declare,
+    plan: Option<&LogicalPlan>,
     context: &SessionContext,
     client: &dyn HookClient,
 ) -> PgWireResult<()> {
@@ -161,7 +170,10 @@ async fn open(
         _ => Format::UnifiedText,
     };
     let statement = Statement::Query(query.clone());
-    let plan = reading(&statement, context).await?;
+    let plan = match plan {
+        Some(plan) => plan.clone(),
+        None => reading(&statement, context).await?,
+    };
     // Clients ask for the columns of the cursor, too.
     let prepared = (query.to_string(), Some((statement, plan.clone())));
     let stored = StoredStatement::new(name.value.clone(), prepared, vec![]);

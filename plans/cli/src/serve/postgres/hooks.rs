@@ -32,6 +32,7 @@ use crate::serve::postgres::functions::{NO_PATH, PATH, SETTINGS, leads_elsewhere
 use crate::serve::postgres::geometry::{as_extended, as_text, told};
 use crate::serve::postgres::kept::deallocate;
 use crate::serve::postgres::nested::{as_json, as_texts, without_bytes};
+use crate::serve::postgres::parameters::with_types;
 use crate::serve::postgres::postgis::with_views;
 use crate::serve::postgres::spatial::in_our_words;
 use crate::serve::postgres::transactions::refused;
@@ -64,6 +65,27 @@ enum Verdict {
 struct Gate;
 
 impl Gate {
+    /// What becomes of a statement, with its plan where it has one; `None` for what the hooks behind the gate answer.
+    async fn answer(
+        statement: &Statement,
+        plan: Option<&LogicalPlan>,
+        context: &SessionContext,
+        client: &mut dyn HookClient,
+    ) -> Option<PgWireResult<Response>> {
+        if let Some(error) = refused(statement, client) {
+            return Some(Err(error));
+        }
+        forget(statement, client);
+        if let Some(query) = shown(statement, client) {
+            return Reading.handle_simple_query(&query, context, client).await;
+        }
+        match Self::verdict(statement) {
+            Verdict::Passes => cursors::answered(statement, plan, context, client).await,
+            Verdict::Done(tag) => Some(Ok(Response::Execution(Tag::new(tag)))),
+            Verdict::Refused(error) => Some(Err(error)),
+        }
+    }
+
     fn verdict(statement: &Statement) -> Verdict {
         match statement {
             Statement::Query(_)
@@ -181,18 +203,7 @@ impl QueryHook for Gate {
         context: &SessionContext,
         client: &mut dyn HookClient,
     ) -> Option<PgWireResult<Response>> {
-        if let Some(error) = refused(statement, client) {
-            return Some(Err(error));
-        }
-        forget(statement, client);
-        if let Some(query) = shown(statement, client) {
-            return Reading.handle_simple_query(&query, context, client).await;
-        }
-        match Self::verdict(statement) {
-            Verdict::Passes => cursors::answered(statement, context, client).await,
-            Verdict::Done(tag) => Some(Ok(Response::Execution(Tag::new(tag)))),
-            Verdict::Refused(error) => Some(Err(error)),
-        }
+        Self::answer(statement, None, context, client).await
     }
 
     async fn handle_extended_parse_query(
@@ -205,7 +216,7 @@ impl QueryHook for Gate {
             return Some(reading(&query, context).await);
         }
         match Self::verdict(statement) {
-            Verdict::Passes => cursors::planned(statement, client).map(Ok),
+            Verdict::Passes => cursors::planned(statement, context, client).await,
             // A plan without rows.
             Verdict::Done(_) => Some(Ok(LogicalPlan::default())),
             Verdict::Refused(error) => Some(Err(error)),
@@ -215,12 +226,12 @@ impl QueryHook for Gate {
     async fn handle_extended_query(
         &self,
         statement: &Statement,
-        _: &LogicalPlan,
+        plan: &LogicalPlan,
         _: &ParamValues,
         context: &SessionContext,
         client: &mut dyn HookClient,
     ) -> Option<PgWireResult<Response>> {
-        self.handle_simple_query(statement, context, client).await
+        Self::answer(statement, Some(plan), context, client).await
     }
 }
 
@@ -275,7 +286,7 @@ async fn planned(statement: Statement, context: &SessionContext) -> PgWireResult
         .with_allow_statements(false);
     let plan = plan.and_then(|plan| {
         allowed.verify_plan(&plan)?;
-        without_bytes(as_extended(as_json(as_texts(plan)?)?)?)
+        without_bytes(as_extended(as_json(as_texts(with_types(plan)?)?)?)?)
     });
     plan.map_err(|error| said(&explained(context, fault_of(&error))))
 }

@@ -13,11 +13,13 @@ mod hooks;
 mod kept;
 mod keys;
 mod nested;
+mod parameters;
 mod postgis;
 mod spatial;
 mod startup;
 mod transactions;
 mod types;
+mod values;
 mod wire;
 
 use std::sync::{Arc, LazyLock};
@@ -29,10 +31,8 @@ use datafusion::prelude::SessionContext;
 use datafusion::sql::sqlparser::ast::Statement;
 use datafusion::sql::sqlparser::dialect::PostgreSqlDialect;
 use datafusion_postgres::DfSessionService;
-use datafusion_postgres::arrow_pg::datatypes::df::deserialize_parameters_with_server_types;
 use evermap_engine::error::fault_of;
 use evermap_engine::sql::{NO_TABLE, check_size};
-use evermap_functions::caught;
 use evermap_schemas::{Fault, Kind};
 use futures::Sink;
 use pgwire::api::cancel::DefaultCancelHandler;
@@ -174,10 +174,10 @@ impl ExtendedQueryHandler for Queries {
         C::Error: std::fmt::Debug,
         PgWireError: From<<C as Sink<PgWireBackendMessage>>::Error>,
     {
-        readable(portal)?;
         let opened = self.parser.opened(client, "").await?;
         let service = &opened.postgres;
         let portal = self.parser.of_newest(client, portal, &opened).await?;
+        let portal = parameters::bound(portal)?;
         fits(&portal.result_column_format, &portal.statement.statement)?;
         let portal = in_its_formats(portal)?;
         cursors::bound(client, &portal)?;
@@ -197,17 +197,6 @@ impl ExtendedQueryHandler for Queries {
             other => Ok(other),
         }
     }
-}
-
-/// That what a client bound can be read: the library panics at an interval that is cut short. What else is wrong with it,
-/// the library says.
-fn readable(portal: &Portal<Prepared>) -> PgWireResult<()> {
-    let types = TYPES.get_parameter_types(&portal.statement.statement)?;
-    let types: Vec<Option<&Type>> = types.iter().map(Some).collect();
-    let read = caught(|| deserialize_parameters_with_server_types(portal, &[], &types).is_ok());
-    let message = "expected parameters of their types, found bytes that are none";
-    read.map(drop)
-        .ok_or_else(|| error("ERROR", "22P03", message))
 }
 
 /// Plans queries on the newest version of a map.
@@ -304,13 +293,15 @@ fn fits(format: &Format, prepared: &Prepared) -> PgWireResult<()> {
 fn in_its_formats(portal: Portal<Prepared>) -> PgWireResult<Portal<Prepared>> {
     let old = &portal.statement;
     let (query, planned) = &old.statement;
-    let Some((statement, plan)) = planned.as_ref().filter(|(_, plan)| geometry::has_any(plan))
-    else {
+    let (Some(rows), Some((statement, _))) = (rows(&old.statement), planned) else {
         return Ok(portal);
     };
+    if !geometry::has_any(rows) {
+        return Ok(portal);
+    }
     let format = &portal.result_column_format;
     let is_text = |column| format.format_for(column) == FieldFormat::Text;
-    let plan = geometry::as_text(plan.clone(), is_text).map_err(|error| said(&fault_of(&error)))?;
+    let plan = geometry::as_text(rows.clone(), is_text).map_err(|error| said(&fault_of(&error)))?;
     let prepared = (query.clone(), Some((statement.clone(), plan)));
     let types = old.parameter_types.clone();
     let statement = Arc::new(StoredStatement::new(old.id.clone(), prepared, types));
@@ -318,9 +309,19 @@ fn in_its_formats(portal: Portal<Prepared>) -> PgWireResult<Portal<Prepared>> {
     Ok(with_all_of(again, &portal))
 }
 
+/// The plan of the rows that a statement gives; `None` where it gives none: who declares a cursor gets rows of what fetches
+/// from it.
+fn rows((_, planned): &Prepared) -> Option<&LogicalPlan> {
+    match planned {
+        Some((Statement::Declare { .. }, _)) | None => None,
+        Some((_, plan)) => Some(plan),
+    }
+}
+
 /// Names and types of the columns that a statement gives.
-fn columns((_, planned): &Prepared) -> Vec<(String, DataType)> {
-    let fields = planned.iter().flat_map(|(_, plan)| plan.schema().fields());
+fn columns(prepared: &Prepared) -> Vec<(String, DataType)> {
+    let plan = rows(prepared).into_iter();
+    let fields = plan.flat_map(|plan| plan.schema().fields());
     fields
         .map(|field| (field.name().clone(), field.data_type().clone()))
         .collect()
@@ -341,9 +342,10 @@ impl QueryParser for Parser {
     {
         let opened = self.opened(client, query).await?;
         let parser = opened.postgres.query_parser();
-        let planned = parser.parse_sql(client, query, types).await;
+        let typed = parameters::as_declared(query, types);
+        let planned = parser.parse_sql(client, &typed, types).await;
         let planned = planned.map_err(fault_in_our_words)?;
-        Ok(planned.map(|(query, plan)| (noted(&query, &opened), plan)))
+        Ok(planned.map(|(_, plan)| (noted(query, &opened), plan)))
     }
 
     fn get_parameter_types(&self, prepared: &Prepared) -> PgWireResult<Vec<Type>> {
@@ -351,7 +353,7 @@ impl QueryParser for Parser {
             (_, Some((statement, _))) if types::asks_for_types(statement) => {
                 Ok(vec![Type::OID_ARRAY])
             }
-            _ => TYPES.get_parameter_types(prepared),
+            _ => parameters::told(prepared),
         }
     }
 
@@ -361,10 +363,9 @@ impl QueryParser for Parser {
         format: Option<&Format>,
     ) -> PgWireResult<Vec<FieldInfo>> {
         format.map_or(Ok(()), |format| fits(format, prepared))?;
-        let columns = TYPES.get_result_schema(prepared, format)?;
-        Ok(match prepared {
-            (_, Some((_, plan))) => geometry::told(plan, columns),
-            (_, None) => columns,
+        Ok(match rows(prepared) {
+            Some(plan) => geometry::told(plan, TYPES.get_result_schema(prepared, format)?),
+            None => Vec::new(),
         })
     }
 }

@@ -4,14 +4,13 @@
 use std::sync::Arc;
 
 use arrow::datatypes::{DataType, FieldRef};
-use datafusion::common::tree_node::{Transformed, TreeNode};
+use datafusion::common::tree_node::Transformed;
 use datafusion::common::{DFSchema, Result};
 use datafusion::error::DataFusionError;
-use datafusion::logical_expr::expr_rewriter::NamePreserver;
-use datafusion::logical_expr::utils::merge_schema;
 use datafusion::logical_expr::{Expr, ExprSchemable, LogicalPlan, cast};
 use evermap_functions::to_json;
 
+use crate::serve::postgres::expression::each_expression;
 use crate::serve::postgres::functions::ARRAY_OUT;
 use crate::serve::postgres::geometry::{calling, replaced};
 
@@ -20,21 +19,7 @@ use crate::serve::postgres::geometry::{calling, replaced};
 /// # Errors
 /// What planning says.
 pub fn as_texts(plan: LogicalPlan) -> Result<LogicalPlan, DataFusionError> {
-    let texts = plan.transform_up_with_subqueries(|node| {
-        let schema = merge_schema(&node.inputs());
-        let names = NamePreserver::new(&node);
-        let text = |found: Expr| {
-            let name = names.save(&found);
-            let made = found.transform_up(|found| as_text(found, &schema))?;
-            Ok(made.update_data(|made| name.restore(made)))
-        };
-        let node = node.map_expressions(text)?;
-        match node.transformed {
-            true => node.map_data(LogicalPlan::recompute_schema),
-            false => Ok(node),
-        }
-    });
-    texts.map(|texts| texts.data)
+    each_expression(plan, as_text)
 }
 
 fn as_text(found: Expr, schema: &DFSchema) -> Result<Transformed<Expr>, DataFusionError> {

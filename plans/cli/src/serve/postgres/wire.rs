@@ -225,17 +225,19 @@ impl Sender {
     }
 }
 
-/// What of a message was not looked at yet.
-struct Body<'b>(&'b [u8]);
+/// What of a message, or of a part of one, was not looked at yet.
+pub struct Body<'b>(pub &'b [u8]);
 
 impl<'b> Body<'b> {
-    fn skip(&mut self, bytes: usize) -> Option<&'b [u8]> {
+    /// So many bytes; `None` where there are fewer.
+    pub fn skip(&mut self, bytes: usize) -> Option<&'b [u8]> {
         let (skipped, rest) = self.0.split_at_checked(bytes)?;
         self.0 = rest;
         Some(skipped)
     }
 
-    fn number<const BYTES: usize>(&mut self) -> Option<[u8; BYTES]> {
+    /// The bytes of a number; `None` where there are fewer.
+    pub fn number<const BYTES: usize>(&mut self) -> Option<[u8; BYTES]> {
         let (number, rest) = self.0.split_first_chunk()?;
         self.0 = rest;
         Some(*number)
