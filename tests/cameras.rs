@@ -123,14 +123,20 @@ const P: [f64; 12] = [
 
 /// Squares of several greys, of 16 bits a pixel whose lower eight are noise.
 fn image(is_big_endian: bool) -> Value {
+    image_of_bits(16, is_big_endian)
+}
+
+/// The same, of which the upper bits are kept, as a camera that has so many sends them.
+fn image_of_bits(bits: u32, is_big_endian: bool) -> Value {
     let value = |at: usize| {
         let (x, y) = (at % SIDE, at / SIDE);
         let square = x / 16 + 10 * (y / 16);
         let [high, low] =
             [20 + square * square * 37 % 200, at * at * 73 % 251].map(|value| value as u8);
+        let sample = u16::from_be_bytes([high, low]) >> (16 - bits);
         match is_big_endian {
-            true => [high, low],
-            false => [low, high],
+            true => sample.to_be_bytes(),
+            false => sample.to_le_bytes(),
         }
     };
     let bytes: Vec<u8> = (0..SIDE * SIDE).flat_map(value).collect();
@@ -216,6 +222,17 @@ fn a_twin_without_messages_hides_no_images() {
 
 /// Looks for features in an image, and has what is found where that ends so.
 fn features(logs: &Logs, name: &str, image: Value, code: i32) -> (Value, String) {
+    features_with(logs, name, image, &[], code)
+}
+
+/// The same, with more arguments for the run.
+fn features_with(
+    logs: &Logs,
+    name: &str,
+    image: Value,
+    more: &[&str],
+    code: i32,
+) -> (Value, String) {
     let plan = logs.path("plan.yaml");
     let steps = "plan: seen
 steps:
@@ -241,7 +258,7 @@ write: [features]
         "--progress",
         "none",
     ];
-    let ended = evermap(&[&run[..], &["--sessions", text(&log)]].concat()).expect(code);
+    let ended = evermap(&[&run[..], &["--sessions", text(&log)], more].concat()).expect(code);
     let sql = "SELECT u, v, size_px FROM features";
     let found = evermap(&["sql", "--map", text(&map), "--format", "json", sql]);
     (found.expect(0).json(), ended.stderr)
@@ -269,6 +286,46 @@ fn images_of_fewer_bits_than_their_samples_are_counted() {
     assert_eq!(found, json!([]));
     let said = "camera `front` (mono16) does not decode: expected values that fill their 16 bits, found none above 4095";
     assert!(told.contains(said), "{told}");
+}
+
+#[test]
+fn a_manifest_says_how_many_bits_samples_have() {
+    let logs = Logs::new();
+    let (expected, _) = features(&logs, "sixteen", image(false), 0);
+    let manifest = |name: &str, bits: &str| {
+        let path = logs.path(name);
+        std::fs::write(&path, bits).unwrap();
+        path
+    };
+    let right = manifest("right.yaml", "bits: { '/front/*': 12, /fromt/image: 10 }\n");
+    let with_right = ["--manifest", text(&right)];
+    for is_big_endian in [false, true] {
+        let twelve = image_of_bits(12, is_big_endian);
+        let name = format!("twelve_{is_big_endian}");
+        let (none, told) = features(&logs, &name, twelve.clone(), 3);
+        assert_eq!(none, json!([]));
+        assert!(told.contains("`bits` in a session manifest"), "{told}");
+        // What the manifest says is part of what was done: the map is made anew.
+        let (found, told) = features_with(&logs, &name, twelve, &with_right, 0);
+        assert_eq!(found, expected);
+        let said = "`bits` names `/fromt/image`, which no session has";
+        assert!(told.contains(said), "{told}");
+        let log = logs.path(&format!("{name}.mcap"));
+        let formats = query(&log, &with_right, TOPICS).expect(0).json();
+        let format = formats[0]["format"].as_str().unwrap_or_default().to_owned();
+        assert!(format.starts_with("mono16 12-bit"), "{format}");
+        assert_eq!(format.ends_with(" big-endian"), is_big_endian);
+    }
+    let fewer = manifest("fewer.yaml", "bits: { /front/image: 10 }\n");
+    let with_fewer = ["--manifest", text(&fewer)];
+    let (none, told) = features_with(&logs, "fewer", image_of_bits(12, false), &with_fewer, 3);
+    assert_eq!(none, json!([]));
+    assert!(told.contains("expected samples of 10 bits"), "{told}");
+    let wrong = manifest("wrong.yaml", "site: lot\nbits: { /front/image: 11 }\n");
+    let log = logs.path("fewer.mcap");
+    let refused = query(&log, &["--manifest", text(&wrong)], TOPICS).expect(1);
+    let said = "expected 10, 12 or 14 bits for /front/image, found 11";
+    assert!(refused.stderr.contains(said), "{}", refused.stderr);
 }
 
 #[test]

@@ -150,6 +150,26 @@ fn a_drive_without_cameras_is_no_part_of_a_metric_map() {
 }
 
 #[test]
+fn a_plan_that_reads_nothing_of_a_session_says_so_and_what_any_log_has_is_read() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    let drive = at("drive.mcap");
+    write_topics(&drive, &[CALIBRATION]);
+    let said_of = |name: &str, query: &str| {
+        let plan = at(&format!("{name}.yaml"));
+        let text_of =
+            format!("plan: {name}\nsteps: {{ {name}: {{ sql: \"{query}\" }} }}\nwrite: [{name}]\n");
+        std::fs::write(&plan, text_of).unwrap();
+        run(text(&plan), &at(name), &[&drive], &[])
+    };
+    let refused = said_of("one", "SELECT 1 AS n").expect(1).stderr;
+    let said = "the plan cannot use any session: expected a step that reads a role or a topic of sessions, found none";
+    assert!(refused.contains(said), "{refused}");
+    said_of("topics", "SELECT session, topic FROM channels").expect(0);
+    said_of("classes", "SELECT * FROM label_classes").expect(0);
+}
+
+#[test]
 fn a_session_without_the_one_role_that_a_plan_needs_is_counted_among_others() {
     let folder = tempfile::tempdir().unwrap();
     let at = |name: &str| folder.path().join(name);

@@ -204,6 +204,7 @@ fn the_manifest_that_inspect_writes_runs_and_is_edited() {
         "\n  frames:\n    - /front/image  # foxglove.CompressedImage\n",
         "\n    - /tf_static  # foxglove.FrameTransform\n",
         "\n  # annotations:  # none found; evermap.Annotation\n",
+        "\n# bits: { /camera/image_raw: 12 }\n",
         "\n  vehicle_frame: chassis  # frames of the logs: bumper, chassis, front, odom, rear\n",
         "\n  # odometry_scale_sigma: 0.01\n",
         "\n  # mask: { front: [[[0, 720], [1280, 720], [1280, 960], [0, 960]]] }\n",

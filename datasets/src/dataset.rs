@@ -13,7 +13,7 @@ use futures::{FutureExt, StreamExt, TryStreamExt};
 
 use crate::fault::OrFault;
 use crate::losses::{Loss, LossLedger, Reason};
-use crate::manifest::{Manifest, Roles, Vehicle, of_role};
+use crate::manifest::{BITS, Bits, Manifest, ROLES, Roles, TopicBits, Vehicle, of_role};
 use crate::recordings::{Recording, Recordings};
 use crate::roles::robots;
 use crate::scan::{LazyTable, LogTable, McapTable, MessagesTable, RecordTable, TopicTable};
@@ -32,8 +32,8 @@ pub struct Dataset {
     pub losses: LossLedger,
     /// Choices that the user might want to make differently, in sentences.
     pub notes: Vec<String>,
-    /// Topics, or patterns of them, that a manifest gives to a role and that no session has, with the role's name first;
-    /// the role is played by others of its topics.
+    /// Topics, or patterns of them, that a manifest says something of and that no session has, with the key first
+    /// (`roles.frames`, `bits`); a role is played by others of its topics.
     pub unknown_topics: Vec<(String, String)>,
     roles: &'static [Role],
 }
@@ -177,12 +177,17 @@ impl Recordings {
     /// A user fault when the manifest names a role that there is not or that nothing plays; a data fault when no file
     /// is an MCAP file. A damaged file is no error, nor one among others that cannot be read: see [`Dataset::losses`].
     pub async fn open(self) -> Result<Dataset, Fault> {
-        let (roles, topics, vehicle) = (self.roles, &self.topics, &self.vehicle);
+        let (roles, topics) = (self.roles, &self.topics);
+        let said = Said {
+            topics,
+            bits: &self.bits,
+            vehicle: &self.vehicle,
+        };
         check_roles(roles, topics)?;
         let losses = LossLedger::new();
         let alone = self.sessions.iter().map(|s| s.files.len()).sum::<usize>() <= 1;
         let mut opened = futures::stream::iter(self.sessions)
-            .map(|recording| open_session(recording, roles, topics, vehicle, &losses))
+            .map(|recording| open_session(recording, roles, said, &losses))
             .buffered(OPEN_AT_ONCE)
             .try_collect::<Vec<_>>()
             .await?;
@@ -204,7 +209,7 @@ impl Recordings {
         let sessions: Vec<Session> = opened.into_iter().map(|(session, ..)| session).collect();
         check_topics(topics, &sessions)?;
         Ok(Dataset {
-            unknown_topics: unknown_topics(topics, &sessions),
+            unknown_topics: unknown_topics(said, &sessions),
             sessions,
             losses,
             notes,
@@ -213,16 +218,25 @@ impl Recordings {
     }
 }
 
+/// What a manifest says of the topics of all sessions.
+#[derive(Clone, Copy)]
+struct Said<'m> {
+    /// By role.
+    topics: &'m BTreeMap<String, Vec<String>>,
+    bits: &'m Bits,
+    vehicle: &'m Vehicle,
+}
+
 /// A session of those of its files that can be read, what was chosen for the person, and why files cannot be read.
 type Opened = (Session, Vec<String>, Vec<Fault>);
 
 async fn open_session(
     recording: Recording,
     roles: &[Role],
-    given: &BTreeMap<String, Vec<String>>,
-    vehicle: &Vehicle,
+    said: Said<'_>,
     losses: &LossLedger,
 ) -> Result<Opened, Fault> {
+    let given = said.topics;
     let (name, site): (Arc<str>, Arc<str>) = (recording.name.into(), recording.site.into());
     let mut opened = futures::stream::iter(recording.files)
         .map(|file| {
@@ -256,7 +270,8 @@ async fn open_session(
         site,
         parts: parts.into_iter().map(Arc::new).collect(),
         roles: resolved,
-        vehicle: vehicle.clone(),
+        bits: TopicBits::new(),
+        vehicle: said.vehicle.clone(),
     };
     for role in roles {
         if !given.contains_key(role.name)
@@ -266,10 +281,17 @@ async fn open_session(
             notes.push(note);
         }
     }
+    let pictures = roles.iter().filter(|role| has_pictures(role));
+    let pictures = pictures.flat_map(|role| session.roles.topics(role.name));
+    session.bits = said.bits.of_topics(pictures)?;
     if !robots::matter(roles, &session) {
         session.vehicle = Vehicle::default();
     }
     Ok((session, notes, faults))
+}
+
+fn has_pictures(role: &Role) -> bool {
+    role.messages().is_some_and(|messages| messages.pictures)
 }
 
 /// The topics of a session, by name.
@@ -328,21 +350,23 @@ fn check_topics(given: &BTreeMap<String, Vec<String>>, sessions: &[Session]) -> 
     Err(of_role(fault, role))
 }
 
-/// The patterns of the manifest, by role, that no session has a topic for.
-fn unknown_topics(
-    given: &BTreeMap<String, Vec<String>>,
-    sessions: &[Session],
-) -> Vec<(String, String)> {
+/// The patterns of the manifest, by key, that no session has a topic for.
+fn unknown_topics(said: Said<'_>, sessions: &[Session]) -> Vec<(String, String)> {
     let topics: BTreeSet<String> = sessions.iter().flat_map(Session::topics).collect();
     let is_known = |pattern: &str| {
         let pattern = glob::Pattern::new(pattern);
         pattern.is_ok_and(|pattern| topics.iter().any(|topic| pattern.matches(topic)))
     };
-    let all = given
-        .iter()
-        .flat_map(|(role, patterns)| patterns.iter().map(move |pattern| (role, pattern)));
-    let unknown = all.filter(|(_, pattern)| !topics.is_empty() && !is_known(pattern));
+    let of_roles = said.topics.iter().flat_map(|(role, patterns)| {
+        let key = format!("{ROLES}{role}");
+        patterns.iter().map(move |pattern| (key.clone(), pattern))
+    });
+    let of_bits = said.bits.patterns();
+    let of_bits = of_bits.map(|pattern| (BITS.to_owned(), pattern));
+    let unknown = of_roles
+        .chain(of_bits)
+        .filter(|(_, pattern)| !topics.is_empty() && !is_known(pattern));
     unknown
-        .map(|(role, pattern)| (role.clone(), pattern.clone()))
+        .map(|(key, pattern)| (key, pattern.clone()))
         .collect()
 }

@@ -8,7 +8,7 @@ use evermap_schemas::roles::{self, Role};
 use object_store::ObjectStoreExt;
 use object_store::path::Path;
 
-use crate::manifest::{Manifest, SessionFiles, Vehicle, of_file, of_name};
+use crate::manifest::{Bits, Manifest, SessionFiles, Vehicle, of_file, of_name};
 use crate::session::stem;
 use crate::stores::{LogFile, resolve};
 use crate::yaml::{LONGEST, from_yaml};
@@ -22,6 +22,8 @@ pub struct Recordings {
     pub roles: &'static [Role],
     /// Topics by role, where they are not inferred.
     pub(crate) topics: BTreeMap<String, Vec<String>>,
+    /// Bits of samples of raw images, by topic.
+    pub(crate) bits: Bits,
     /// The vehicle.
     pub(crate) vehicle: Vehicle,
 }
@@ -78,6 +80,7 @@ impl Recordings {
             sessions,
             roles: roles::ALL,
             topics: manifest.roles.clone(),
+            bits: manifest.bits.clone(),
             vehicle: manifest.vehicle(),
         })
     }

@@ -20,7 +20,7 @@ use crate::log::index::{DataSum, LogIndex};
 use crate::log::tally::Tally;
 use crate::log::window::get;
 use crate::losses::{Entry, FileLosses, Loss, LossLedger, Reason};
-use crate::manifest::{Roles, Vehicle};
+use crate::manifest::{Roles, TopicBits, Vehicle};
 use crate::stores::LogFile;
 
 /// One drive.
@@ -34,6 +34,8 @@ pub struct Session {
     pub parts: Vec<Arc<LogPart>>,
     /// Which of its topics play which part.
     pub roles: Roles,
+    /// Bits of samples of raw images by topic of pictures, where the manifest says them.
+    pub bits: TopicBits,
     /// The vehicle, as far as the manifest names it and rows depend on it.
     pub vehicle: Vehicle,
 }

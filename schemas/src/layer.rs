@@ -3,7 +3,7 @@
 use std::collections::HashMap;
 use std::sync::Arc;
 
-use arrow::array::RecordBatch;
+use arrow::array::{ArrayRef, RecordBatch};
 use arrow::datatypes::{Schema, SchemaRef};
 
 use crate::{Column, Fault, Record};
@@ -80,28 +80,27 @@ pub fn batch<T: LayerRow>(rows: Vec<T>) -> Result<RecordBatch, Fault> {
     Ok(RecordBatch::try_new(T::layer().schema(), columns)?)
 }
 
-/// The typed rows of a batch. Columns are found by name; those that the layer does not declare are ignored.
+/// The typed rows of a batch. Columns are found by name ([`Column::of`]); those that the layer does not declare are ignored.
 ///
 /// # Errors
 /// A data fault when a column is missing, of another type, or holds nulls where none may be.
 pub fn rows<T: Record>(batch: &RecordBatch) -> Result<Vec<T>, Fault> {
-    let columns = T::columns()
-        .iter()
-        .map(|column| {
-            batch.column_by_name(column.name).cloned().ok_or_else(|| {
-                let found: Vec<_> = batch
-                    .schema_ref()
-                    .fields()
-                    .iter()
-                    .map(|field| field.name().clone())
-                    .collect();
-                Fault::data(format!(
-                    "expected a column {}, found {}",
-                    column.name,
-                    found.join(", ")
-                ))
-            })
-        })
-        .collect::<Result<Vec<_>, _>>()?;
-    T::decode_columns(&columns)
+    let columns = T::columns();
+    let columns = columns.iter().map(|column| column.of(batch));
+    T::decode_columns(&columns.collect::<Result<Vec<_>, _>>()?)
+}
+
+/// The column of this name of a batch.
+///
+/// # Errors
+/// A data fault that names those there are.
+pub fn column<'b>(batch: &'b RecordBatch, name: &str) -> Result<&'b ArrayRef, Fault> {
+    batch.column_by_name(name).ok_or_else(|| {
+        let found = batch.schema_ref().fields().iter();
+        let found: Vec<_> = found.map(|field| field.name().as_str()).collect();
+        Fault::data(format!(
+            "expected a column {name}, found {}",
+            found.join(", ")
+        ))
+    })
 }

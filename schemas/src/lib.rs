@@ -28,7 +28,7 @@ mod wkb;
 pub use cell::Cell;
 pub use fault::{Fault, Kind};
 pub use geometry::{Geometry, Position};
-pub use layer::{Layer, LayerRow, batch, rows};
+pub use layer::{Layer, LayerRow, batch, column, rows};
 #[doc(hidden)]
 pub use record::decode_column;
 pub use record::{Column, Record};
@@ -121,6 +121,19 @@ mod tests {
         let poses = schema.field_with_name("poses").unwrap().metadata();
         assert_eq!(poses.get("x.unit").map(String::as_str), Some("m"));
         assert!(!poses.contains_key("unit") && !poses.contains_key("qw.unit"));
+    }
+
+    #[test]
+    fn what_was_stored_before_a_nullable_column_was_declared_is_null_there() {
+        let table = batch(samples()).unwrap();
+        // Without the height and the pose.
+        let older = table.project(&[0, 2, 3, 5, 6]).unwrap();
+        let mut expected = samples();
+        for sample in &mut expected {
+            (sample.height_m, sample.pose) = (None, None);
+        }
+        assert_eq!(rows::<Sample>(&older).unwrap(), expected);
+        assert_eq!(rows::<Sample>(&older.slice(3, 0)).unwrap(), vec![]);
     }
 
     #[test]

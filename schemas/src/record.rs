@@ -3,11 +3,11 @@
 use std::collections::HashMap;
 use std::sync::Arc;
 
-use arrow::array::{ArrayRef, AsArray, StructArray};
+use arrow::array::{ArrayRef, AsArray, RecordBatch, StructArray, new_null_array};
 use arrow::datatypes::{DataType, Field, Fields};
 
 use crate::cell::expect;
-use crate::{Cell, Fault};
+use crate::{Cell, Fault, layer};
 
 /// A declared column: its Arrow field, and what it means.
 #[derive(Debug, Clone, PartialEq)]
@@ -35,6 +35,19 @@ impl Column {
         let mut metadata = HashMap::new();
         self.note("", &mut metadata);
         Field::new(self.name, self.data_type.clone(), self.nullable).with_metadata(metadata)
+    }
+
+    /// Its values in a batch: nulls where the batch does not have it and they may be, as of a layer that was stored before
+    /// the column was declared.
+    ///
+    /// # Errors
+    /// A data fault where it is missing and may have no nulls.
+    pub fn of(&self, batch: &RecordBatch) -> Result<ArrayRef, Fault> {
+        match layer::column(batch, self.name) {
+            Ok(found) => Ok(Arc::clone(found)),
+            Err(_) if self.nullable => Ok(new_null_array(&self.data_type, batch.num_rows())),
+            Err(missing) => Err(missing),
+        }
     }
 
     fn note(&self, path: &str, metadata: &mut HashMap<String, String>) {

@@ -147,7 +147,8 @@ record! {
         length: u64 ["B"],
         /// How the bytes encode the image: `jpeg`, `png`, video (`h264`, `h265`: a frame that may need those from the last
         /// key frame on), `compressedDepth 16UC1` or `32FC1` (ROS), or a raw encoding such as `mono8`, `rgb8`, `16UC1`,
-        /// with ` big-endian` behind it where its samples of several bytes begin with the highest.
+        /// with ` 12-bit` behind it where a session manifest says that its samples of 16 bits have fewer, and ` big-endian`
+        /// where those of several bytes begin with the highest.
         format: String,
         /// Width of a raw image; null where the encoded image says it itself.
         width: Option<u32> ["px"],

@@ -183,7 +183,9 @@ pub fn until_rested(file: &Path) {
     let found = file.metadata().expect("there is such a file");
     let second = u64::try_from(found.ctime()).expect("it changed after 1970");
     let changed = Duration::from_secs(second) + Duration::from_nanos(found.ctime_nsec() as u64);
-    let rested = SystemTime::UNIX_EPOCH + changed + Duration::from_secs(2);
+    let modified = found.modified().expect("files have times");
+    let changed = modified.max(SystemTime::UNIX_EPOCH + changed);
+    let rested = changed + Duration::from_secs(2);
     while SystemTime::now() <= rested {
         std::thread::sleep(Duration::from_millis(10));
     }

@@ -28,6 +28,7 @@ use tokio::sync::OnceCell;
 
 use crate::fault::fault_of;
 use crate::losses::{Loss, Reason};
+use crate::manifest::TopicBits;
 use crate::scan::{LogTable, McapTable, RecordTable, RowBuilder};
 use crate::session::{LogPart, Session};
 use cameras::Cameras;
@@ -49,6 +50,7 @@ pub(crate) fn table(role: &Role, sessions: &[Session]) -> Result<Arc<dyn TablePr
             messages,
             topics: topics(role.name, sessions),
             mounts: mounts(&messages, sessions),
+            bits: bits(&messages, sessions),
             names: CameraTopics {
                 topics: topics(cameras::ROLE.name, sessions),
                 parts: parts.clone(),
@@ -99,6 +101,13 @@ fn mounts(role: &Messages, sessions: &[Session]) -> BTreeMap<Arc<str>, Arc<Mount
     };
     let sessions = sessions.iter().filter(|_| role.mounts.is_some());
     sessions.filter_map(of_session).collect()
+}
+
+/// What is said of the samples of each session's pictures, where a role has pictures.
+fn bits(role: &Messages, sessions: &[Session]) -> BTreeMap<Arc<str>, TopicBits> {
+    let sessions = sessions.iter().filter(|_| role.pictures);
+    let of_session = |session: &Session| (session.name.clone(), session.bits.clone());
+    sessions.map(of_session).collect()
 }
 
 fn topics(role: &str, sessions: &[Session]) -> Topics {
@@ -180,6 +189,8 @@ struct MessageRole {
     messages: Messages,
     topics: Topics,
     mounts: BTreeMap<Arc<str>, Arc<Mounts>>,
+    /// For a role of pictures.
+    bits: BTreeMap<Arc<str>, TopicBits>,
     names: CameraTopics,
     /// For a role whose rows are of one robot.
     robots: Option<RobotOf>,
@@ -254,6 +265,7 @@ impl LogTable for MessageRole {
                 None => Meant::default(),
             },
             mounts: self.mounts.get(&part.session).cloned(),
+            bits: self.bits.get(&part.session).cloned().unwrap_or_default(),
         };
         let topics = self.topics(part);
         let rows = RoleRows::new(self.messages, topics, known, part, &self.schema, projection)?;

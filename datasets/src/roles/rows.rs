@@ -13,6 +13,7 @@ use evermap_schemas::roles::{
 use evermap_schemas::{Fault, ImageRef, Stamp};
 
 use crate::losses::{Loss, Reason};
+use crate::manifest::TopicBits;
 use crate::roles::mounts::Mounts;
 use crate::scan::{MessageAt, RowBuilder, projected};
 use crate::session::LogPart;
@@ -36,6 +37,8 @@ pub(crate) struct Known {
     pub cameras: CameraNames,
     /// The odometry that is meant, of those among transforms.
     pub robot: Meant,
+    /// How many bits samples of its pictures have, by topic, where a person says so.
+    pub bits: TopicBits,
     /// What it has said of frames that are fixed.
     pub mounts: Option<Arc<Mounts>>,
 }
@@ -235,6 +238,7 @@ impl RowBuilder for RoleRows {
                 zero: &zeros[*topic],
                 image: taken.image.as_ref(),
                 cameras: &self.known.cameras,
+                bits: self.known.bits.get(&self.topics[*topic].topic).copied(),
                 robot: &self.known.robot.odometry,
             })
             .collect();

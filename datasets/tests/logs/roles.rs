@@ -72,7 +72,7 @@ async fn a_made_up_role_is_inferred_and_read() {
         .await
         .unwrap();
     assert_eq!(named.sessions[0].roles.topics("remarks"), ["/text"]);
-    let unknown = ["/tex", "/no*"].map(|topic| ("remarks".to_owned(), topic.to_owned()));
+    let unknown = ["/tex", "/no*"].map(|topic| ("roles.remarks".to_owned(), topic.to_owned()));
     assert_eq!(named.unknown_topics, unknown);
     let batches = rows(&context, "SELECT * FROM remarks ORDER BY stamp").await;
     let remarks: Vec<Remark> = batches

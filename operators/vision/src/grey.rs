@@ -115,7 +115,7 @@ pub enum ImageError {
     /// A picture of 16 bits whose values do not reach the upper four: of a camera of 10 or 12 bits, most likely. The upper
     /// eight hold next to nothing.
     #[error(
-        "expected values that fill their 16 bits, found none above {most}; record such images shifted to the upper bits, or as 8 bits"
+        "expected values that fill their 16 bits, found none above {most}; say how many bits raw ones have (`bits` in a session manifest), or record them shifted to the upper bits, or as 8 bits"
     )]
     Faint {
         /// The most that as many bits hold as the largest value has.

@@ -78,6 +78,7 @@ fn is_no_fix(fields: Fields<'_>) -> bool {
         zero: &OnceCell::new(),
         image: None,
         cameras: &CameraNames::default(),
+        bits: None,
         robot: &OdometryOf::default(),
     };
     GnssFix::from_message(&message).is_ok_and(|rows| rows.is_empty())

@@ -661,7 +661,18 @@ fn a_stopped_simulation_leaves_no_half_session() {
         .stderr(Stdio::piped())
         .spawn()
         .unwrap();
-    std::thread::sleep(std::time::Duration::from_secs(2));
+    // It is at a session once it has begun the file of one.
+    let is_begun = || {
+        let files = std::fs::read_dir(&out).into_iter().flatten().flatten();
+        let mut names = files.map(|file| file.file_name().to_string_lossy().into_owned());
+        names.any(|name| name.ends_with(".mcap.part"))
+    };
+    let begun = std::time::Instant::now();
+    while !is_begun() {
+        assert_eq!(child.try_wait().unwrap(), None, "it ended by itself");
+        assert!(begun.elapsed().as_secs() < 60, "it began no session");
+        std::thread::sleep(Duration::from_millis(10));
+    }
     let stop = Command::new("kill")
         .args(["-INT", &child.id().to_string()])
         .status()

@@ -7,14 +7,16 @@ use arrow::array::{Array, ArrayRef, AsArray, RecordBatch};
 use arrow::compute::kernels::cmp::distinct;
 use arrow::compute::{CastOptions, can_cast_types, cast, cast_with_options};
 use arrow::datatypes::{DataType, Field, FieldRef, Float64Type, Schema, SchemaRef};
-use evermap_schemas::{Column, Fault, Layer, type_name};
+use evermap_schemas::{Column, Fault, Layer, column, type_name};
 
-/// The batch with just the layer's columns, in its order and types.
+/// The batch with just the layer's columns, in its order and types; null in those that it does not have and that may be
+/// so ([`Column::of`]).
 ///
 /// # Errors
 /// As [`conform_to`].
 pub fn conform(batch: &RecordBatch, layer: &Layer) -> Result<RecordBatch, Fault> {
-    conform_to(batch, &layer.schema())
+    let found = layer.columns.iter().map(|column| column.of(batch));
+    converted(&found.collect::<Result<Vec<_>, _>>()?, &layer.schema())
 }
 
 /// The batch with just these columns, in their order and types.
@@ -22,14 +24,19 @@ pub fn conform(batch: &RecordBatch, layer: &Layer) -> Result<RecordBatch, Fault>
 /// # Errors
 /// A data fault for a column that is missing, of a type that does not convert, or null where it may not be.
 pub fn conform_to(batch: &RecordBatch, schema: &SchemaRef) -> Result<RecordBatch, Fault> {
+    let names = schema.fields().iter().map(|field| field.name());
+    let found = names.map(|name| column(batch, name).cloned());
+    converted(&found.collect::<Result<Vec<_>, _>>()?, schema)
+}
+
+/// The batch of these columns, in the types of a schema that has as many.
+fn converted(found: &[ArrayRef], schema: &SchemaRef) -> Result<RecordBatch, Fault> {
     let columns = schema
         .fields()
         .iter()
-        .map(|column| {
+        .zip(found)
+        .map(|(column, found)| {
             let name = column.name();
-            let found = batch
-                .column_by_name(name)
-                .ok_or_else(|| missing(name, batch.schema_ref()))?;
             let array = convert(found, column.data_type())
                 .map_err(|fault| fault.at(format!("column {name}")))?;
             if !column.is_nullable() && array.null_count() > 0 {
@@ -117,18 +124,6 @@ pub fn beside(batch: &RecordBatch, name: &str, column: ArrayRef) -> Result<Recor
     Ok(RecordBatch::try_new(schema, columns)?)
 }
 
-fn missing(name: &str, schema: &Schema) -> Fault {
-    let found: Vec<_> = schema
-        .fields()
-        .iter()
-        .map(|field| field.name().as_str())
-        .collect();
-    Fault::data(format!(
-        "expected a column {name}, found {}",
-        found.join(", ")
-    ))
-}
-
 /// What keeps a table from being given to a port, one sentence a column; none where it fits.
 pub fn misfits(table: &Schema, layer: &Layer) -> Vec<String> {
     let misfit = |column: &Column| match table.field_with_name(column.name) {
@@ -212,10 +207,11 @@ mod tests {
     #![allow(clippy::unwrap_used)]
     use arrow::array::{
         BooleanArray, FixedSizeListArray, Float32Array, Float64Array, Int64Array, ListArray,
-        StringArray, StructArray,
+        StringArray, StructArray, new_empty_array,
     };
     use arrow::datatypes::Int32Type;
-    use evermap_schemas::{Cell, Stamp};
+    use evermap_schemas::roles::Calibration;
+    use evermap_schemas::{Cell, LayerRow, Stamp};
 
     use super::*;
 
@@ -253,6 +249,30 @@ mod tests {
         let pair = FixedSizeListArray::new(item(DataType::Float64), 2, pair, None);
         let whole = DataType::FixedSizeList(item(DataType::Int32), 2);
         assert!(told(pair, &whole).contains("found 2.5"));
+    }
+
+    #[test]
+    fn columns_that_a_layer_has_got_since_are_null_and_others_are_missed() {
+        let layer = Calibration::layer();
+        let lacks = |name: &str| {
+            let kept = layer.columns.iter().filter(|column| column.name != name);
+            let fields: Vec<_> = kept.map(Column::field).collect();
+            let columns = fields.iter();
+            let columns = columns.map(|field| new_empty_array(field.data_type()));
+            let schema = Arc::new(Schema::new(fields.clone()));
+            RecordBatch::try_new(schema, columns.collect()).unwrap()
+        };
+        let older = lacks("mount");
+        let filled = conform(&older, &layer).unwrap();
+        assert_eq!(filled.schema(), layer.schema());
+        // A function in Python says all columns of what it makes.
+        for refused in [
+            conform(&lacks("camera"), &layer),
+            conform_to(&older, &layer.schema()),
+        ] {
+            let said = refused.unwrap_err().to_string();
+            assert!(said.contains("expected a column"), "{said}");
+        }
     }
 
     #[test]

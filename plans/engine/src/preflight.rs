@@ -5,6 +5,7 @@
 //! version before, topics by name and roles of metadata are there or not as they please. A query that hands
 //! what a vehicle is like (its cameras, where they sit) to other steps makes nothing of a session by itself.
 
+mod nothing;
 pub mod players;
 pub mod unknown;
 mod untold;
@@ -12,7 +13,7 @@ mod untold;
 use std::collections::{BTreeMap, BTreeSet};
 
 use evermap_contract::Registry;
-use evermap_datasets::{Dataset, Session};
+use evermap_datasets::Dataset;
 use evermap_language::{Body, Input, Plan, Step};
 use evermap_schemas::{Fault, roles};
 
@@ -140,8 +141,17 @@ impl Needs {
 
     /// Whether a step reads a role.
     fn reads(&self, role: &str) -> bool {
-        let mut tables = self.steps.iter().flat_map(Need::tables);
-        tables.any(|table| is_source(table, role))
+        self.sources().contains(role)
+    }
+
+    /// The tables of sessions that steps read.
+    fn sources(&self) -> BTreeSet<&str> {
+        let tables = self.steps.iter().flat_map(Need::tables);
+        let names = tables.filter_map(|table| match table {
+            Input::Source(name) => Some(name.as_str()),
+            _ => None,
+        });
+        names.collect()
     }
 
     /// The first step that cannot do without a role.
@@ -205,8 +215,13 @@ impl Needs {
         }
     }
 
-    /// What no step can be fed without, of all that reads something of a session.
+    /// What no step can be fed without, of all that reads something of a session; `None` where a step makes something of it,
+    /// or nothing that the plan reads tells sessions apart.
     fn unfed(&self, plays: &Roles, all: &Roles) -> Option<Lacks> {
+        let read = self.sources();
+        if !read.is_empty() && !read.iter().any(|name| is_role(name)) {
+            return None;
+        }
         let (mut own, mut any) = (BTreeMap::new(), BTreeMap::new());
         let (mut of_its_own, mut of_any) = (Lacks::new(), Lacks::new());
         let mut handed_on = BTreeSet::new();
@@ -299,10 +314,10 @@ impl Need {
         (!fed).then_some(all)
     }
 
-    /// Whether it reads a role that is played, or a topic by its name, itself or as it is handed on.
+    /// Whether it reads a role that is played, a topic by its name or what any log has, itself or as it is handed on.
     fn reads_of(&self, plays: &Roles, handed_on: &BTreeSet<&str>) -> bool {
         self.inputs.iter().any(|input| match input {
-            Input::Source(name) => plays.contains(name) || name.starts_with('/'),
+            Input::Source(name) => plays.contains(name) || is_of_any_log(name),
             Input::Step(name) => handed_on.contains(name.as_str()),
             Input::Previous(_) | Input::New(_) => false,
         })
@@ -327,6 +342,11 @@ fn merge(all: &mut Lacks, found: &Lacks) {
 /// Whether a table is a role that messages play.
 fn is_role(name: &str) -> bool {
     messages(name).is_some()
+}
+
+/// Whether a table is no role, but a topic or what every log says of itself (`messages`, `channels` …).
+fn is_of_any_log(name: &str) -> bool {
+    roles::ALL.iter().all(|role| role.name != name)
 }
 
 /// Whether a role says what a vehicle is like.
@@ -379,48 +399,13 @@ pub fn idle(
     let idle: Vec<_> = idle.collect();
     match idle.as_slice() {
         [(session, lacks), ..] if idle.len() == given.sessions.len() => {
-            Err(nothing_to_make(session, lacks, idle.len() - 1))
+            Err(nothing::to_make(needs, session, lacks, idle.len() - 1))
         }
         _ => Ok(idle
             .into_iter()
             .map(|(session, lacks)| (session.name.to_string(), lacks))
             .collect()),
     }
-}
-
-/// That a plan makes nothing of a session and `others`: what is lacking, what is there, what would help.
-fn nothing_to_make(session: &Session, lacks: &Lacks, others: usize) -> Fault {
-    let name = &session.name;
-    let others = match others {
-        0 => String::new(),
-        others => format!(", nor of {others} more"),
-    };
-    let topics = session.message_types();
-    let topics: Vec<_> = topics
-        .iter()
-        .map(|(topic, kind)| match session.unfit(topic) {
-            Some(reason) => format!("{topic} ({kind}, {reason})"),
-            None => format!("{topic} ({kind})"),
-        })
-        .collect();
-    let plays = |role: &&roles::Role| lacks.contains_key(role.name);
-    let types = roles::ALL.iter().filter(plays).map(|role| {
-        let types = role.messages().map(|messages| messages.types.join(", "));
-        format!("{}: {}", role.name, types.unwrap_or_default())
-    });
-    let types: Vec<_> = types.collect();
-    Fault::user(format!(
-        "the plan cannot use session {name}{others}: expected {}, found topics {}",
-        in_words(lacks),
-        match topics.is_empty() {
-            true => "none".to_owned(),
-            false => few(topics),
-        }
-    ))
-    .next(format!(
-        "give logs that have them, or say in a manifest which topic plays the role; message types that do: {}",
-        types.join("; ")
-    ))
 }
 
 /// Some words, of which there may be many.

@@ -332,6 +332,7 @@ mod tests {
             zero: &OnceCell::new(),
             image: None,
             cameras: &CameraNames::of_images(|_| vec![images]),
+            bits: None,
             robot: &OdometryOf::default(),
         })
     }

@@ -7,6 +7,7 @@ use crate::roles::{Messages, Role};
 /// Image topics whose names speak of depth.
 pub const ROLE: Role = Role::of::<Frame>(Messages {
     choose: |topics| before_rectified(&of_content(topics, Content::Depth)),
+    pictures: false,
     ..IMAGES
 })
 .named(

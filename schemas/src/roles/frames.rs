@@ -3,7 +3,9 @@
 use std::collections::BTreeMap;
 
 use crate::roles::cameras::{both_of, is_rectified, topic_camera};
-use crate::roles::{Choice, FromMessage, Message, Messages, Role, Topic, every, in_words};
+use crate::roles::{
+    Choice, FromMessage, Message, Messages, RawFormat, Role, SampleBits, Topic, every, in_words,
+};
 use crate::{ImageRef, Stamp, record};
 
 record! {
@@ -34,13 +36,11 @@ pub const ROLE: Role = Role::of::<Frame>(IMAGES);
 /// The member of every message with an image that holds its bytes.
 pub const IMAGE_MEMBER: &str = "data";
 
-/// What stands behind the encoding of a raw image whose samples of several bytes begin with the highest.
-pub const BIG_ENDIAN: &str = " big-endian";
-
 /// Images of any meaning.
 pub(super) const IMAGES: Messages = Messages {
     choose: |topics| before_rectified(&of_content(topics, Content::Picture)),
     image: Some(IMAGE_MEMBER),
+    pictures: true,
     ..Messages::of::<Frame>(&[
         "sensor_msgs/CompressedImage",
         "sensor_msgs/Image",
@@ -160,6 +160,17 @@ fn check_calibrated(message: &Message<'_>, camera: &str) -> Result<(), String> {
     ))
 }
 
+/// That an image has samples of 16 bits, where a person says how many of them its topic uses.
+fn check_bits(bits: Option<SampleBits>, raw: Option<&str>, format: &str) -> Result<(), String> {
+    let has_sixteen = raw.is_some_and(|encoding| encoding.contains("16"));
+    match bits {
+        Some(bits) if !has_sixteen => Err(format!(
+            "expected a raw image with samples of 16 bits, as `bits` of the session manifest says {bits} of its topic, found {format}"
+        )),
+        _ => Ok(()),
+    }
+}
+
 impl FromMessage for Frame {
     const MEMBERS: &'static [&'static str] = &[
         "header",
@@ -184,18 +195,20 @@ impl FromMessage for Frame {
         let (width, height, step) = (size("width"), size("height"), size("step"));
         let text = |name: &str| fields.text(&[name]).unwrap_or_default();
         let is_big = fields.number(&["is_bigendian"]).unwrap_or(0.0) != 0.0;
-        let format = match encoding {
-            // A packet of video names its codec where a raw image names its layout.
-            Some(encoding) => {
-                video_format(&encoding).unwrap_or_else(|| raw_format(encoding, is_big))
-            }
-            None => plain_format(&text("format"), &image.magic),
+        // A packet of video names its codec where a raw image names its layout.
+        let video = encoding.as_deref().and_then(video_format);
+        let raw = encoding.filter(|_| video.is_none());
+        let format = match (&raw, video) {
+            (Some(encoding), _) => raw_format(encoding, message.bits, is_big),
+            (None, Some(codec)) => codec,
+            (None, None) => plain_format(&text("format"), &image.magic),
         };
         let camera = message.cameras.name(message.topic, &message.frame());
         if !is_first(message, &camera)? {
             return Ok(Vec::new());
         }
         check_calibrated(message, &camera)?;
+        check_bits(message.bits, raw.as_deref(), &format)?;
         Ok(vec![Self {
             site: message.site.to_owned(),
             session: message.session.to_owned(),
@@ -235,15 +248,17 @@ fn plain_format(format: &str, magic: &[u8; 8]) -> String {
     }
 }
 
-/// An encoding, with the order of the bytes where its samples have several: `mono16`, `bayer_rggb16`, `32FC1`.
-fn raw_format(encoding: String, is_big_endian: bool) -> String {
+/// How a raw image of this encoding is stored: in which order of bytes is told where its samples have several.
+fn raw_format(encoding: &str, bits: Option<SampleBits>, is_big_endian: bool) -> String {
     let is_wide = ["16", "32", "64"]
         .iter()
         .any(|bits| encoding.contains(bits));
-    match is_big_endian && is_wide {
-        true => encoding + BIG_ENDIAN,
-        false => encoding,
-    }
+    let format = RawFormat {
+        encoding,
+        bits,
+        is_big_endian: is_big_endian && is_wide,
+    };
+    format.to_string()
 }
 
 /// What `compressed_depth_image_transport` says of its PNGs: `16UC1; compressedDepth png`, without `png` in older logs.
@@ -271,146 +286,4 @@ fn video_format(text: &str) -> Option<String> {
 }
 
 #[cfg(test)]
-mod tests {
-    use std::cell::OnceCell;
-    use std::sync::Arc;
-
-    use arrow::array::{ArrayRef, StringArray, UInt8Array};
-
-    use super::*;
-    use crate::Pose;
-    use crate::roles::tests::members;
-    use crate::roles::{CalibratedCamera, CameraNames, Fields, FoundImage, OdometryOf};
-
-    fn camera(frame: &str) -> CalibratedCamera {
-        CalibratedCamera {
-            frame: frame.to_owned(),
-            pair_from_camera: Pose::IDENTITY,
-        }
-    }
-
-    #[test]
-    fn formats_are_named_alike() {
-        assert_eq!(plain_format("mono8; jpeg compressed ", &[0; 8]), "jpeg");
-        assert_eq!(plain_format("image/png", &[0; 8]), "png");
-        assert_eq!(plain_format("", b"\xff\xd8\xff\xe0\0\0\0\0"), "jpeg");
-        assert_eq!(plain_format("webp", b"RIFF\0\0\0\0"), "webp");
-        for (said, plain) in [
-            ("16UC1; compressedDepth png", "compressedDepth 16UC1"),
-            ("32FC1; compressedDepth", "compressedDepth 32FC1"),
-            ("16UC1; compressedDepth rvl", "16uc1; compresseddepth rvl"),
-        ] {
-            assert_eq!(plain_format(said, &[0; 8]), plain);
-        }
-        for (said, plain) in [("H264", "h264"), ("video/h.264", "h264"), ("hevc", "h265")] {
-            assert_eq!(plain_format(said, b"\0\0\0\x01\x67\0\0\0"), plain);
-        }
-        assert_eq!(video_format("libx264;yuv420p").as_deref(), Some("h264"));
-        assert_eq!(video_format("hevc_nvenc").as_deref(), Some("h265"));
-        assert_eq!(video_format("bayer_rggb8"), None);
-    }
-
-    /// The format of an image of 1 × 1 px, or why there is none.
-    fn read(topic: &str, encoding: &str, big: u8, cameras: &CameraNames) -> Result<String, String> {
-        let members = members(vec![
-            (
-                "encoding",
-                Arc::new(StringArray::from(vec![encoding])) as ArrayRef,
-            ),
-            (
-                "is_bigendian",
-                Arc::new(UInt8Array::from(vec![big])) as ArrayRef,
-            ),
-        ]);
-        let place = ImageRef {
-            session: "a".to_owned(),
-            part: 0,
-            chunk: None,
-            chunk_length: 0,
-            chunk_size: 0,
-            compression: String::new(),
-            offset: 0,
-            length: 1,
-            format: String::new(),
-            width: None,
-            height: None,
-            step: None,
-        };
-        let frames = Frame::from_message(&Message {
-            site: "lot",
-            session: "a",
-            topic,
-            log_time: Stamp(1),
-            fields: Fields::new(&members, 0),
-            zero: &OnceCell::new(),
-            image: Some(&FoundImage {
-                place,
-                magic: [0; 8],
-            }),
-            cameras,
-            robot: &OdometryOf::default(),
-        });
-        let formats = frames?.into_iter().map(|frame| frame.image.format);
-        Ok(formats.collect())
-    }
-
-    #[test]
-    fn the_order_of_bytes_is_told_of_samples_that_have_several() {
-        let names = CameraNames::default();
-        let read = |encoding, big| read("/front/image_raw", encoding, big, &names);
-        for wide in ["mono16", "16UC1", "32FC1", "bayer_rggb16", "rgba16"] {
-            assert_eq!(read(wide, 0), Ok(wide.to_owned()));
-            assert_eq!(read(wide, 1), Ok(format!("{wide}{BIG_ENDIAN}")));
-        }
-        for narrow in ["mono8", "bayer_rggb8", "8UC3", "yuv422_yuy2", "nv12"] {
-            assert_eq!(read(narrow, 1), Ok(narrow.to_owned()));
-        }
-        // Packets of video have a member of that name as well.
-        assert_eq!(read("libx264;yuv420p", 1), Ok("h264".to_owned()));
-    }
-
-    #[test]
-    fn images_that_their_calibration_is_not_read_for_are_refused() {
-        let names = |images: &str| {
-            let mut names = CameraNames::of_images(|_| vec![images]);
-            names.add("/front/camera_info", camera("front"));
-            names
-        };
-        let (raw, rect) = (names("/front/image_raw"), names("/front/image_rect"));
-        let read = |topic: &str, names| read(topic, "mono8", 0, names);
-        for (topic, of_raw, of_rect) in [
-            ("/front/image_raw", true, false),
-            ("/front/image_rect", false, true),
-            ("/front/depth", true, true),
-            ("/front/labels", true, true),
-            ("/front/depth/image_rect", false, true),
-            ("/rear/image_rect", true, true),
-        ] {
-            for (names, is_read) in [(&raw, of_raw), (&rect, of_rect)] {
-                assert_eq!(read(topic, names).is_ok(), is_read, "{topic}");
-            }
-        }
-    }
-
-    #[test]
-    fn images_of_a_second_camera_that_names_the_frame_of_a_first_are_not_read() {
-        let pictures = vec!["/left/image", "/right/image"];
-        let read = |topic: &str, names: &CameraNames| read(topic, "mono8", 0, names);
-        for calibrated in [
-            ["/left/camera_info"].as_slice(),
-            &["/right/camera_info", "/left/camera_info"],
-        ] {
-            let mut names = CameraNames::of_images(|_| pictures.clone());
-            calibrated
-                .iter()
-                .for_each(|topic| names.add(topic, camera("right")));
-            // The images of this test name no frame; a prefix stands for it.
-            assert_eq!(read("/left/image", &names), Ok("mono8".to_owned()));
-            let other = read("/right/image", &names);
-            match calibrated.len() {
-                1 => assert!(other.is_err_and(|said| said.contains("/left and /right"))),
-                _ => assert_eq!(other, Ok(String::new())),
-            }
-        }
-    }
-}
+mod tests;

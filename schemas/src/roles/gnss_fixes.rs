@@ -138,6 +138,7 @@ mod tests {
             zero: &OnceCell::new(),
             image: None,
             cameras: &CameraNames::default(),
+            bits: None,
             robot: &OdometryOf::default(),
         };
         GnssFix::from_message(&message).map(|rows| rows.len())

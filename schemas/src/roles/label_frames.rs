@@ -6,10 +6,12 @@ use crate::roles::frames::{Content, Frame, IMAGES, LABELS, of_content};
 use crate::roles::{Choice, Messages, Role, Topic, in_words};
 
 /// Image topics whose names speak of labels, segmentation or semantics.
-pub const ROLE: Role = Role::of::<Frame>(Messages { choose, ..IMAGES }).named(
-    "label_frames",
-    "One image of class labels, by reference.",
-);
+pub const ROLE: Role = Role::of::<Frame>(Messages {
+    choose,
+    pictures: false,
+    ..IMAGES
+})
+.named("label_frames", "One image of class labels, by reference.");
 
 /// Of topics that differ only from the part that speaks of labels on, the first by name.
 fn choose(topics: &[Topic]) -> Vec<Choice> {
@@ -20,8 +22,5 @@ fn choose(topics: &[Topic]) -> Vec<Choice> {
         let owner = parts.take_while(|part| !in_words(part, &LABELS)).collect();
         owners.entry(owner).or_default().push(topic);
     }
-    owners
-        .into_values()
-        .filter_map(Choice::first_of)
-        .collect()
+    owners.into_values().filter_map(Choice::first_of).collect()
 }

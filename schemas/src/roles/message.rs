@@ -10,7 +10,7 @@ use arrow::datatypes::{
     UInt16Type, UInt32Type, UInt64Type,
 };
 
-use crate::roles::{CameraNames, OdometryOf, ZeroStamp, frame_names};
+use crate::roles::{CameraNames, OdometryOf, SampleBits, ZeroStamp, frame_names};
 use crate::{Fault, ImageRef, LayerRow, Pose, Stamp};
 
 /// A row that comes from messages.
@@ -72,6 +72,8 @@ pub struct Message<'a> {
     pub image: Option<&'a FoundImage>,
     /// What the session's cameras are called; for roles of images.
     pub cameras: &'a CameraNames,
+    /// Bits that a person says the samples of its image have, where these are fewer than hold them; for roles of pictures.
+    pub bits: Option<SampleBits>,
     /// The odometry that is meant, of those among transforms; for roles that have one robot's rows.
     pub robot: &'a OdometryOf,
 }

@@ -14,6 +14,7 @@ mod cameras;
 pub mod frame_names;
 mod message;
 mod mounts;
+mod raw_format;
 pub mod robots;
 mod role;
 mod stamps;
@@ -22,6 +23,7 @@ mod stereo;
 pub use cameras::CameraNames;
 pub use message::{FARTHEST_M, Fields, FoundImage, FromMessage, Message, Read};
 pub use mounts::Mount;
+pub use raw_format::{BIG_ENDIAN, RawFormat, SampleBits};
 pub use role::{Choice, Messages, Metadata, Role, Source, Topic, UNTYPED, every, in_words};
 pub use stamps::ZeroStamp;
 pub use stereo::{CAMERAS, CalibratedCamera, CameraMount};
@@ -52,7 +54,7 @@ roles! {
 
 pub use annotations::{Anchor, Annotation};
 pub use calibration::Calibration;
-pub use frames::{BIG_ENDIAN, Frame, IMAGE_MEMBER};
+pub use frames::{Frame, IMAGE_MEMBER};
 pub use gnss_fixes::GnssFix;
 pub use image_annotations::ImageAnnotation;
 pub use imu::ImuMeasurement;

@@ -40,6 +40,8 @@ pub struct Messages {
     pub members: &'static [&'static str],
     /// The member that holds an image, for roles whose rows refer to one; it is located, not decoded.
     pub image: Option<&'static str>,
+    /// Whether its images are pictures, of which a person may say how many bits their samples have.
+    pub pictures: bool,
     /// Whether a row is left out that, but for its stamp, says what the row of its key before it in time says.
     pub drop_repeats: bool,
     /// Whether it says what a vehicle is like, and not what a drive was: nothing is made of it alone.
@@ -65,6 +67,7 @@ impl Messages {
             single: false,
             members: T::MEMBERS,
             image: None,
+            pictures: false,
             drop_repeats: false,
             lasting: false,
             shared: false,

@@ -272,6 +272,7 @@ mod tests {
                 zero: &zero,
                 image: None,
                 cameras: &cameras,
+                bits: None,
                 robot: &robot,
             };
             message.stamp()

@@ -4,7 +4,7 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use evermap_algorithms::ground::boxes::GroundBox;
 use evermap_algorithms::ground::boxes::box_index::BoxIndex;
-use evermap_algorithms::ground::boxes::mosaic::Mosaic;
+use evermap_algorithms::ground::boxes::mosaic::{LONGEST_CELLS, Mosaic};
 use evermap_algorithms::ground::boxes::picture::Picture;
 use evermap_algorithms::ground::boxes::rows::LaneLine;
 use evermap_algorithms::ground::boxes::teaching::{Example, Said};
@@ -19,7 +19,7 @@ use crate::inputs::tiles::{decoded, encoded};
 /// Boxes are described by cells of the image: a side of fewer cells than this is too short.
 const LEAST_CELLS: f64 = 4.0;
 /// No box is longer (m): an image is looked at in parts of a hundred metres.
-pub(crate) const LONGEST_M: f64 = 50.0;
+const LONGEST_M: f64 = 50.0;
 /// Boxes of one kind that share more than this part of the smaller one are on one place.
 const ONE_PLACE: f64 = 0.5;
 
@@ -148,15 +148,22 @@ pub(crate) fn boxes(
         .collect()
 }
 
+/// The longest side of a box on an image with cells of this side (m).
+pub(crate) fn longest_m(cell_m: f64) -> f64 {
+    LONGEST_M.min(LONGEST_CELLS * cell_m)
+}
+
 /// What a label says; nothing where it is no box.
 fn example(label: &PlacedLabel, cell_m: f64) -> Result<Option<Example>, Reason> {
     let (Some(length_m), Some(width_m)) = (label.length_m, label.width_m) else {
         return Ok(None);
     };
-    let fits = |side_m: &f64| (LEAST_CELLS * cell_m..=LONGEST_M).contains(side_m);
+    let fits = |side_m: &f64| (LEAST_CELLS * cell_m..=longest_m(cell_m)).contains(side_m);
     let place = ground_box(&label.map_from_label, length_m, width_m);
     let place = place.filter(|_| fits(&length_m) && fits(&width_m));
-    let place = place.ok_or("box is no longer than a few cells, or longer than 50 m")?;
+    let place = place.ok_or_else(|| {
+        format!("box is no longer than a few cells, or longer than 50 m or {LONGEST_CELLS} cells")
+    })?;
     let said = match label.standing.as_str() {
         "drawn" => Said::Drawn,
         "accepted" => Said::Accepted,

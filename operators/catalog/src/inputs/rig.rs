@@ -292,8 +292,16 @@ fn apart(frame: &str, vehicle: &str, ends: &str) -> Reason {
     .into()
 }
 
+/// Images are at most so many times as large as their calibration.
+const LARGEST: f64 = 4.0;
+/// The share by which sides that were rounded may differ from those of the calibration made larger or smaller.
+const ROUNDED: f64 = 0.01;
+
 /// The camera of a calibration, for images of this size: a driver that halves its images often leaves the
-/// calibration as it was.
+/// calibration as it was, and a camera is calibrated at half its size to have it done sooner.
+///
+/// # Errors
+/// In words: for images of another shape, of a size that no resize of the calibrated ones has, and for numbers that no lens has.
 pub(crate) fn camera(
     calibration: &Calibration,
     [width, height]: [u32; 2],
@@ -311,10 +319,16 @@ pub(crate) fn camera(
     if given && (full_width, full_height) != (width, height) {
         let x = f64::from(width) / f64::from(full_width);
         let y = f64::from(height) / f64::from(full_height);
-        if model.starts_with("ocam") || (x / y - 1.0).abs() > 0.01 {
-            let name = shown(camera);
+        let name = shown(camera);
+        if model.starts_with("ocam") || (x / y - 1.0).abs() > ROUNDED {
             let reason = format!("image of camera `{name}` has another shape than its calibration");
             return Err(reason.into());
+        }
+        if !is_resized(x) {
+            return Err(format!(
+                "image of camera `{name}` is larger than its calibration, but not 1.5, 2, 2.5 … or {LARGEST} times"
+            )
+            .into());
         }
         scale(&mut k, x, y);
     }
@@ -323,6 +337,14 @@ pub(crate) fn camera(
         let (name, error) = (shown(camera), shown(&error.to_string()));
         format!("calibration of camera `{name}`: {error}").into()
     })
+}
+
+/// Whether images that are so many times as large as calibrated ones may be the same, resized: smaller by any factor, larger by
+/// halves. Others are of another camera or mode, of which nobody knows what part of the sensor it reads.
+fn is_resized(times: f64) -> bool {
+    let halves = 2.0 * times;
+    let is_by_halves = (halves - halves.round()).abs() <= ROUNDED * halves;
+    times <= 1.0 || (is_by_halves && times <= LARGEST * (1.0 + ROUNDED))
 }
 
 /// Intrinsics of an image scaled by `x` and `y`; the corners of the image stay corners.

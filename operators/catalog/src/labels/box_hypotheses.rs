@@ -11,14 +11,14 @@ use evermap_schemas::Wkb;
 use evermap_schemas::layers::{BoxHypothesis, BoxModel, Lane, OverheadGradients, PlacedLabel};
 
 use crate::inputs::asking::reason;
-use crate::inputs::boxes::{LONGEST_M, boxes, lane_line, mosaic, pose};
+use crate::inputs::boxes::{boxes, lane_line, longest_m, mosaic, pose};
 
 /// See the module's page.
 pub struct BoxHypotheses;
 
 impl Operator for BoxHypotheses {
     const NAME: &'static str = "box_hypotheses";
-    const VERSION: u32 = 7;
+    const VERSION: u32 = 8;
     const PAGE: &'static str = include_str!("box_hypotheses.md");
     type Params = NothingToChoose;
     type Output = BoxHypothesis;
@@ -48,7 +48,11 @@ fn hypotheses(
     for model in models {
         match Kind::new(model, &labels, &lanes, mosaic.cell_m()) {
             Some(kind) => found.extend(kind.weigh(&kind.search(&mosaic))),
-            None => skip("model does not have the numbers that it claims".into(), 1),
+            None => skip(
+                "model does not have the numbers that it claims, or is of boxes of too many cells"
+                    .into(),
+                1,
+            ),
         }
     }
     emit.rows(found)
@@ -64,7 +68,7 @@ pub struct Kind {
 
 impl Kind {
     /// Of a site's model, labels and lanes, on an image with cells of this side (m); `None` where the model does not have the
-    /// numbers that it claims.
+    /// numbers that it claims, or is of boxes that are too long for such cells.
     pub fn new(
         model: BoxModel,
         labels: &[PlacedLabel],
@@ -73,7 +77,7 @@ impl Kind {
     ) -> Option<Self> {
         let said = boxes(labels, cell_m, &mut |_, _| {}).remove(&model.kind);
         Some(Self {
-            taught: taught(&model)?,
+            taught: taught(&model, cell_m)?,
             examples: said.unwrap_or_default().examples,
             lanes: lanes.iter().map(lane_line).collect(),
             model,
@@ -111,11 +115,12 @@ impl Kind {
     }
 }
 
-/// What was learnt; `None` where the row's numbers contradict each other.
-fn taught(row: &BoxModel) -> Option<Taught> {
+/// What was learnt; `None` where the row's numbers contradict each other, or cells of this side (m) are too small for its boxes.
+fn taught(row: &BoxModel, cell_m: f64) -> Option<Taught> {
+    let longest_m = longest_m(cell_m);
     let is_size = |[length_m, width_m]: &[f64; 2]| {
         let sides = [*length_m, *width_m];
-        sides.iter().all(|side| (0.01..=LONGEST_M).contains(side))
+        sides.iter().all(|side| (0.01..=longest_m).contains(side))
     };
     let is_sound = !row.sizes_m.is_empty()
         && row.sizes_m.iter().all(is_size)

@@ -14,6 +14,9 @@ use serde_json::json;
 
 use crate::yields;
 
+/// Side of a cell of the overhead image, where nothing else is said (m).
+const CELL_M: f64 = 0.05;
+
 fn at(x: f64, y: f64, yaw: f64) -> Pose {
     Pose {
         x,
@@ -332,18 +335,18 @@ fn of_spaces_that_were_drawn_on_one_place_the_one_said_last_holds() {
 
     // Nor is it learnt twice what the place looks like.
     assert_eq!(
-        not_learnt(labels)["box of a kind that lies on another one"],
+        not_learnt(labels, CELL_M)["box of a kind that lies on another one"],
         1
     );
 }
 
-/// What `box_models` counts of labels on an image that shows nothing.
-fn not_learnt(labels: Vec<PlacedLabel>) -> BTreeMap<String, u64> {
+/// What `box_models` counts of labels on an image that shows nothing, with cells of this side (m).
+fn not_learnt(labels: Vec<PlacedLabel>, cell_m: f64) -> BTreeMap<String, u64> {
     let tile = OverheadGradients {
         site: "lot".into(),
         tile_x: 0,
         tile_y: 0,
-        cell_m: 0.05,
+        cell_m,
         content: String::new(),
         png: Bytes(vec![]),
     };
@@ -354,6 +357,29 @@ fn not_learnt(labels: Vec<PlacedLabel>) -> BTreeMap<String, u64> {
     let (models, losses) = yields::<BoxModel>("box_models", json!({}), inputs);
     assert!(models.is_empty());
     losses.0
+}
+
+#[test]
+fn boxes_of_more_cells_than_are_looked_at_at_a_time_are_counted() {
+    let map = Version::of(drive("a", [0.0, 0.0]), vec![]);
+    let (held, _) = anchors(
+        vec![drawn("one", 7.0, 3.0)],
+        &map,
+        &Version::default(),
+        vec![],
+    );
+    let (labels, _) = placed(held, &map);
+    let too_long = "box is no longer than a few cells, or longer than 50 m or 1000 cells";
+    // It is 4 m long.
+    for (cell_m, expected) in [
+        (CELL_M, None),
+        (0.0045, None),
+        (0.0035, Some(1)),
+        (1e-9, Some(1)),
+    ] {
+        let counted = not_learnt(labels.clone(), cell_m);
+        assert_eq!(counted.get(too_long).copied(), expected, "{cell_m}");
+    }
 }
 
 /// A post that was taken for a person is rejected in two images: neither of them is a box on the floor.
@@ -368,7 +394,7 @@ fn people_are_no_boxes_on_the_floor() {
         let map = Version::of(drive("a", [0.0, 0.0]), vec![]);
         let (held, _) = anchors(said, &map, &Version::default(), vec![]);
         let (labels, _) = placed(held, &map);
-        let count = |reason: &str| not_learnt(labels.clone()).get(reason).copied();
+        let count = |reason: &str| not_learnt(labels.clone(), CELL_M).get(reason).copied();
         [
             count("box of a kind that lies on another one"),
             count("drawn box that the overhead image does not show"),

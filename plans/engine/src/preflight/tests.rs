@@ -157,8 +157,18 @@ fn a_query_is_content_with_one_table_and_topics_are_taken_at_their_word() {
     let odometry = roles(&["odometry"]);
     let either = needs(&[source("odometry"), source("frames")]);
     assert_eq!(missing(&either, &odometry, &odometry), None);
-    let topic = needs(&[source("/battery")]);
-    assert_eq!(missing(&topic, &Roles::new(), &Roles::new()), None);
+    let frames = || need("images", &[source("frames")], true);
+    for any in ["/battery", "messages", "channels", "label_classes"] {
+        let mut any_log = needs(&[source(any)]);
+        assert_eq!(missing(&any_log, &Roles::new(), &Roles::new()), None);
+        // Beside steps that need what nobody has, records of classes make nothing of a session.
+        any_log.steps.push(frames());
+        let lacks = missing(&any_log, &Roles::new(), &Roles::new());
+        assert_eq!(lacks.is_some(), any == "label_classes", "{any}");
+    }
+    // Nothing at all is read.
+    let nothing = needs(&[]);
+    assert_eq!(missing(&nothing, &odometry, &odometry), Some(Lacks::new()));
 }
 
 #[test]

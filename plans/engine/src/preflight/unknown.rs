@@ -23,14 +23,14 @@ pub fn origins(program: &Program, sites: &BTreeSet<&str>) -> Option<String> {
     of_sites(&surveyed(program), sites)
 }
 
-/// What a person is told of topics that a manifest gives to roles and that none of these logs has.
+/// What a person is told of topics that a manifest says something of and that none of these logs has.
 pub fn topics(given: &Dataset) -> Vec<String> {
     let known = given.topics();
     let known: BTreeSet<&str> = known.iter().map(String::as_str).collect();
     let unknown = given.unknown_topics.iter();
-    let warnings = unknown.map(|(role, topic)| {
-        let (key, names) = (format!("roles.{role}"), BTreeSet::from([topic.as_str()]));
-        told(&key, &names, "topics", &known)
+    let warnings = unknown.map(|(key, topic)| {
+        let names = BTreeSet::from([topic.as_str()]);
+        told(key, &names, "topics", &known)
     });
     warnings.collect()
 }

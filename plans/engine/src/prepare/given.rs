@@ -2,7 +2,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use evermap_datasets::manifest::SessionFiles;
+use evermap_datasets::manifest::{Bits, SessionFiles};
 use evermap_datasets::{Manifest, Session};
 use evermap_schemas::Fault;
 
@@ -111,9 +111,10 @@ fn site_of(session: &Session, sited: bool, mapped: &BTreeMap<String, MappedSessi
 
 /// The digest of all that says which rows a log's tables have.
 fn digest_of_tables(manifest: &Manifest) -> Result<String, Fault> {
-    match manifest.vehicle().frame() {
-        "" => digest_of(&manifest.roles),
-        vehicle => digest_of(&(&manifest.roles, vehicle)),
+    match (manifest.vehicle().frame(), manifest.bits.is_empty()) {
+        ("", true) => digest_of(&manifest.roles),
+        (vehicle, true) => digest_of(&(&manifest.roles, vehicle)),
+        (vehicle, false) => digest_of(&(&manifest.roles, vehicle, &manifest.bits)),
     }
 }
 
@@ -127,6 +128,7 @@ fn manifest_of(session: &Session, site: &str) -> Manifest {
             site: Some(site.to_owned()),
         }],
         roles: session.roles.to_manifest(),
+        bits: Bits::exactly(&session.bits),
         defaults: session.vehicle.to_manifest(),
     }
 }

@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use evermap_datasets::manifest::{faulty_role, faulty_session};
+use evermap_datasets::manifest::{BITS, faulty_role, faulty_session};
 use evermap_language::{ManifestPath, Position, Source, entry_place, role_places};
 use evermap_schemas::{Fault, roles};
 
@@ -31,8 +31,9 @@ pub fn seen_from_plan(named: ManifestPath, own: &str) -> ManifestPath {
 /// A fault of opening logs. Where it is of what their manifest says of a role or a session, it points to that.
 pub fn located(fault: Fault, manifest: Option<&Source>) -> Fault {
     let place = manifest.and_then(|manifest| {
-        let (Position { line, column, .. }, rest) =
-            place_of_role(&fault, manifest).or_else(|| place_of_session(&fault, manifest))?;
+        let (Position { line, column, .. }, rest) = place_of_role(&fault, manifest)
+            .or_else(|| place_of_session(&fault, manifest))
+            .or_else(|| place_of_bits(&fault, manifest))?;
         let place = format!("{}:{line}:{column}", manifest.origin);
         Some(match rest {
             "" => place,
@@ -62,6 +63,12 @@ fn place_of_session<'f>(fault: &'f Fault, manifest: &Source) -> Option<(Position
     Some((entry_place(manifest, entry)?, rest))
 }
 
+/// Where a manifest says bits of samples.
+fn place_of_bits<'f>(fault: &'f Fault, manifest: &Source) -> Option<(Position, &'f str)> {
+    let is_it = fault.place == BITS;
+    is_it.then(|| Some((entry_place(manifest, BITS)?, "")))?
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -70,13 +77,15 @@ mod tests {
     fn a_fault_of_a_role_points_into_the_manifest() {
         let manifest = Source {
             origin: "lot.yaml".to_owned(),
-            text: "site: lot\nroles:\n  frames:\n    - /a\n  odometri: /odom\n".to_owned(),
+            text: "site: lot\nroles:\n  frames:\n    - /a\n  odometri: /odom\nbits: { /a: 12 }\n"
+                .to_owned(),
         };
         let place = |fault: Fault| located(fault, Some(&manifest)).place;
         let fault = |at: &str| Fault::user("expected something else").at(at);
         assert_eq!(place(fault("roles.frames")), "lot.yaml:4:5");
         assert_eq!(place(fault("roles.odometri")), "lot.yaml:5:3");
         assert_eq!(place(fault("roles.imu")), "roles.imu");
+        assert_eq!(place(fault("bits")), "lot.yaml:6:7");
         assert_eq!(place(fault("drive.mcap")), "drive.mcap");
         let alone = located(fault("roles.frames"), None);
         assert_eq!(alone.place, "roles.frames");

@@ -8,6 +8,11 @@ use crate::ground::tiles::TILE_CELLS;
 /// Tiles along a part's side: with cells of 0.05 m a part is 102 m wide, and what is seen beyond its borders to describe
 /// boxes on them is a third more.
 const PART_TILES: i64 = 8;
+/// No box has a longer side, in cells, and is still described whole: with cells of 0.05 m this is 50 m.
+pub const LONGEST_CELLS: f64 = 1000.0;
+/// Tiles beyond a part's border that boxes on it are described by: twice what a square box of [`LONGEST_CELLS`] reaches. What
+/// is looked at at a time is at most 24 × 24 tiles (75 MB), whatever cells and boxes claim to measure.
+pub(super) const MOST_BEYOND: i64 = 8;
 
 /// Tiles of one zoom level.
 #[derive(Debug, Clone, PartialEq)]
@@ -71,12 +76,16 @@ impl Mosaic {
         cells.filter(|cell| is_seen(cell)).count() as f64 * self.cell_m * self.cell_m
     }
 
-    /// Gradients of a part, and beyond its borders as far as boxes that reach this far (m) from a point in it need them.
+    /// Gradients of a part, and beyond its borders as far as boxes that reach this far (m) from a point in it need them, at
+    /// most as those with sides of [`LONGEST_CELLS`] do.
     pub fn gradients(&self, part: Part, reach_m: f64) -> Gradients {
-        let beyond = (reach_m / self.tile_m()).ceil() as i64;
-        let at = |axis: usize| self.first[axis] + part.0[axis] * PART_TILES;
-        let first = [0, 1].map(|axis| at(axis) - beyond);
-        let last = [0, 1].map(|axis| at(axis) + PART_TILES + beyond);
+        let beyond = ((reach_m / self.tile_m()).ceil() as i64).clamp(0, MOST_BEYOND);
+        let at = |axis: usize| {
+            let along = part.0[axis].saturating_mul(PART_TILES);
+            self.first[axis].saturating_add(along)
+        };
+        let first = [0, 1].map(|axis| at(axis).saturating_sub(beyond));
+        let last = [0, 1].map(|axis| at(axis).saturating_add(PART_TILES + beyond));
         let columns = self.tiles.range([first[0], i64::MIN]..[last[0], i64::MIN]);
         let near = columns.filter(|([_, row], _)| (first[1]..last[1]).contains(row));
         self.joined(&near.collect::<Vec<_>>())
@@ -86,7 +95,7 @@ impl Mosaic {
         self.cell_m * TILE_CELLS as f64
     }
 
-    /// The gradients of the smallest image that has these tiles.
+    /// The gradients of the smallest image that has these tiles, which are of one part and what is around it.
     fn joined(&self, tiles: &[(&[i64; 2], &Vec<GradientCell>)]) -> Gradients {
         let bound = |axis: usize| {
             let at = tiles.iter().map(|(tile, _)| tile[axis]);

@@ -10,8 +10,8 @@ use std::collections::BTreeSet;
 use std::path::Path;
 
 use super::GroundBox;
-use super::lesson::Lesson;
-use super::mosaic::Mosaic;
+use super::lesson::{Lesson, reach_of};
+use super::mosaic::{LONGEST_CELLS, MOST_BEYOND, Mosaic};
 use super::picture::{self, Pixel};
 use super::teaching::{Example, Hypothesis, Said, Taught, TeachingParams};
 use crate::ground::tiles::TILE_CELLS;
@@ -469,6 +469,25 @@ fn parts_of_a_floor_teach_no_random_box_twice() {
         .collect();
     let distinct: BTreeSet<&Vec<u32>> = samples.iter().collect();
     assert_eq!(distinct.len(), samples.len());
+}
+
+#[test]
+fn what_is_looked_at_at_a_time_is_bounded_whatever_cells_claim_to_measure() {
+    let mut mosaic = Mosaic::new(1e-6);
+    for tile in [[0, 0], [15, 15], [16, 0], [0, -9], [i64::from(i32::MAX), 7]] {
+        assert!(mosaic.add(tile, vec![[0; 2]; TILE_CELLS * TILE_CELLS]));
+    }
+    // Parts are counted from the southernmost tile: rows -1 to 6 are one.
+    let part = mosaic.part([0.0, -1e-6]);
+    let near = mosaic.gradients(part, 140.0);
+    assert_eq!([near.columns, near.rows], [TILE_CELLS, 10 * TILE_CELLS]);
+    // Far beyond all numbers of tiles it is empty.
+    let nowhere = mosaic.gradients(mosaic.part([-1e300, 1e300]), f64::INFINITY);
+    assert_eq!([nowhere.columns, nowhere.rows], [0; 2]);
+    // The largest box is described whole all the same.
+    let longest_m = LONGEST_CELLS * CELL_M;
+    let reach_m = 2.0 * reach_of(&[[longest_m; 2]]);
+    assert!(reach_m <= MOST_BEYOND as f64 * CELL_M * TILE_CELLS as f64);
 }
 
 #[test]

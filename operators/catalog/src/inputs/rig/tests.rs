@@ -1,3 +1,4 @@
+#![allow(clippy::unwrap_used)]
 use evermap_schemas::Pose as Placed;
 use evermap_schemas::roles::CameraMount;
 
@@ -91,6 +92,40 @@ fn binned_images_of_a_part_of_a_sensor_have_the_lens_that_it_has() {
     }
     // Along one side alone.
     assert!(camera(&part, [40, 60]).is_err());
+}
+
+#[test]
+fn images_are_larger_than_their_calibration_by_halves_alone() {
+    let lens = calibration("front", None);
+    let whole = camera(&lens, [200, 150]).unwrap();
+    for (size, times) in [
+        ([300, 225], 1.5),
+        ([400, 300], 2.0),
+        // Rounded to whole pixels.
+        ([402, 300], 2.0),
+        ([800, 600], 4.0),
+        ([100, 75], 0.5),
+        ([67, 50], 1.0 / 3.0),
+    ] {
+        let resized = camera(&lens, size).unwrap();
+        let at = |pixel: [f64; 2]| pixel.map(|at| (at + 0.5) * times - 0.5);
+        for pixel in [[0.0, 0.0], [199.0, 149.0]] {
+            let rays = whole.unproject(pixel).zip(resized.unproject(at(pixel)));
+            let angle = rays.map(|(one, other)| one.angle(&other));
+            assert!(
+                angle.is_some_and(|angle| angle < 0.01),
+                "{size:?} {angle:?}"
+            );
+        }
+    }
+    let larger =
+        "image of camera `front` is larger than its calibration, but not 1.5, 2, 2.5 … or 4 times";
+    for size in [[240, 180], [360, 270], [900, 675], [8000, 6000]] {
+        let reason = camera(&lens, size).err();
+        assert_eq!(reason.as_deref(), Some(larger), "{size:?}");
+    }
+    let shape = camera(&lens, [400, 225]).err().unwrap_or_default();
+    assert!(shape.contains("another shape"), "{shape}");
 }
 
 #[test]

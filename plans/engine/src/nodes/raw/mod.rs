@@ -6,7 +6,7 @@ mod yuv;
 use std::borrow::Cow;
 
 use evermap_schemas::ImageRef;
-use evermap_schemas::roles::BIG_ENDIAN;
+use evermap_schemas::roles::{RawFormat, SampleBits};
 use evermap_video::Codec;
 
 use bayer::Mosaic;
@@ -58,16 +58,19 @@ fn layout(encoding: &str) -> Option<(Layout, u32)> {
     }
 }
 
-/// An image as a file that any decoder reads: a raw one as netpbm (colour RGB, rows without padding), JPEG
-/// and PNG as they are, as a frame of video, which the reader of images has decoded. `compressedDepth` is a PNG behind a
-/// header, which only metres need, to be read by `decode_depth`.
+/// An image as a file that any decoder reads: a raw one as netpbm (colour RGB, rows without padding, 8 bits where samples of
+/// 16 have fewer), JPEG and PNG as they are, as a frame of video, which the reader of images has decoded. `compressedDepth`
+/// is a PNG behind a header, which only metres need, to be read by `decode_depth`.
 ///
 /// # Errors
-/// In words: for an encoding that nobody here reads, or fewer bytes than the size asks for.
+/// In words: for an encoding that nobody here reads, fewer bytes than the size asks for, or samples of more bits than they are
+/// said to have.
 pub fn as_file<'a>(image: &ImageRef, bytes: &'a [u8]) -> Result<Cow<'a, [u8]>, String> {
-    let format = image.format.as_str();
-    let plain = format.strip_suffix(BIG_ENDIAN);
-    let encoding = plain.unwrap_or(format);
+    let RawFormat {
+        encoding,
+        bits,
+        is_big_endian,
+    } = RawFormat::parse(&image.format);
     match encoding {
         "jpeg" | "png" | "compressedDepth 32FC1" => return Ok(bytes.into()),
         "compressedDepth 16UC1" => return Ok(bytes.get(12..).unwrap_or_default().into()),
@@ -79,6 +82,12 @@ pub fn as_file<'a>(image: &ImageRef, bytes: &'a [u8]) -> Result<Cow<'a, [u8]>, S
             "expected jpeg, png, h264, h265 or a raw encoding of ROS or Foxglove, found {encoding:?}"
         ));
     };
+    let sample = sample(&layout, maximum);
+    if bits.is_some() && sample != 2 {
+        return Err(format!(
+            "expected samples of 16 bits, of which fewer are used, found {encoding}"
+        ));
+    }
     let (Some(width), Some(height), Some(step)) = (image.width, image.height, image.step) else {
         return Err(format!("{encoding} without width, height and step"));
     };
@@ -96,10 +105,11 @@ pub fn as_file<'a>(image: &ImageRef, bytes: &'a [u8]) -> Result<Cow<'a, [u8]>, S
             bytes.len()
         ));
     }
-    let bytes: Cow<'_, [u8]> = match plain {
-        Some(_) => turned(&bytes[..expected], step, row, sample(&layout, maximum)).into(),
-        None => bytes.into(),
+    let bytes: Cow<'_, [u8]> = match is_big_endian {
+        true => turned(&bytes[..expected], step, row, sample).into(),
+        false => bytes.into(),
     };
+    let maximum = bits.map_or(maximum, |_| 255);
     let mut file = match &layout {
         // Little endian, which a scale below zero says.
         Layout::Float => format!("Pf\n{width} {height}\n-1.0\n"),
@@ -107,6 +117,7 @@ pub fn as_file<'a>(image: &ImageRef, bytes: &'a [u8]) -> Result<Cow<'a, [u8]>, S
         _ => format!("P6\n{width} {height}\n{maximum}\n"),
     }
     .into_bytes();
+    let header = file.len();
     file.reserve(width * height * samples);
     match layout {
         Layout::Plain(pixel, order) => {
@@ -126,7 +137,26 @@ pub fn as_file<'a>(image: &ImageRef, bytes: &'a [u8]) -> Result<Cow<'a, [u8]>, S
             lines.for_each(|line| file.extend_from_slice(&line[..row]));
         }
     }
+    if let Some(bits) = bits {
+        keep_upper_eight(&mut file, header, bits)?;
+    }
     Ok(file.into())
+}
+
+/// Of samples of 16 bits, the highest byte first, from a place on: the upper eight of those that are used.
+fn keep_upper_eight(file: &mut Vec<u8>, header: usize, bits: SampleBits) -> Result<(), String> {
+    let samples = (file.len() - header) / 2;
+    for index in 0..samples {
+        let at = header + 2 * index;
+        let sample = u16::from_be_bytes([file[at], file[at + 1]]);
+        file[header + index] = bits.upper_eight(sample).ok_or_else(|| {
+            format!(
+                "expected samples of {bits} bits, as the session manifest says in `bits`, found one of {sample}"
+            )
+        })?;
+    }
+    file.truncate(header + samples);
+    Ok(())
 }
 
 /// Bytes of a sample.
@@ -151,6 +181,8 @@ fn turned(bytes: &[u8], step: usize, row: usize, sample: usize) -> Vec<u8> {
 #[cfg(test)]
 mod tests {
     #![allow(clippy::unwrap_used)]
+    use evermap_schemas::roles::BIG_ENDIAN;
+
     use super::*;
 
     pub fn raw(format: &str, width: u32, height: u32, step: u32) -> ImageRef {
@@ -233,6 +265,36 @@ mod tests {
         }
         let unread = as_file(&raw("64FC1 big-endian", 1, 1, 8), &[0; 8]).unwrap_err();
         assert!(unread.contains("\"64FC1\""), "{unread}");
+    }
+
+    #[test]
+    fn samples_of_fewer_bits_become_files_of_their_upper_eight() {
+        let samples = |values: [u16; 4]| values.map(u16::to_le_bytes).concat();
+        for (format, values, file) in [
+            ("mono16 10-bit", [0, 1023, 4, 512], [0, 255, 1, 128]),
+            ("mono16 12-bit", [0, 4095, 16, 2048], [0, 255, 1, 128]),
+            ("16UC1 14-bit", [0, 16383, 64, 8192], [0, 255, 1, 128]),
+        ] {
+            let expected = [&b"P5\n2 2\n255\n"[..], &file].concat();
+            let bytes = samples(values);
+            let image = raw(format, 2, 2, 4);
+            assert_eq!(*as_file(&image, &bytes).unwrap(), *expected, "{format}");
+            let big: Vec<u8> = bytes.chunks(2).flat_map(|two| [two[1], two[0]]).collect();
+            let image = raw(&format!("{format}{BIG_ENDIAN}"), 2, 2, 4);
+            assert_eq!(*as_file(&image, &big).unwrap(), *expected, "{format}");
+        }
+        // A mosaic of one grey: 12 bits of it in every colour.
+        let bayer = raw("bayer_grbg16 12-bit", 2, 2, 4);
+        let expected = [&b"P6\n2 2\n255\n"[..], &[0x12; 12]].concat();
+        assert_eq!(*as_file(&bayer, &samples([0x123; 4])).unwrap(), *expected);
+        let more = as_file(&raw("mono16 10-bit", 2, 2, 4), &samples([0, 1023, 1024, 5]));
+        let more = more.unwrap_err();
+        assert!(
+            more.contains("of 10 bits") && more.contains("one of 1024"),
+            "{more}"
+        );
+        let narrow = as_file(&raw("mono8 12-bit", 2, 2, 2), &[0; 4]).unwrap_err();
+        assert!(narrow.contains("samples of 16 bits"), "{narrow}");
     }
 
     #[test]
