@@ -7,7 +7,6 @@
 //! | [`mosaic`] | gradients of any extent, by tiles |
 //! | [`description`] | what is in a box: histograms of gradients by cell |
 //! | [`box_index`] | which boxes are near one |
-//! | `squares` | small squares of the floor, with their gradients sorted by direction |
 //! | [`scan`] | the places of an image where a description fits |
 //! | `lesson` | what there is to learn from |
 //! | [`template`] | where exactly a box lies |
@@ -29,7 +28,6 @@ pub mod overhead;
 pub mod picture;
 pub mod rows;
 pub mod scan;
-mod squares;
 pub mod teaching;
 pub mod template;
 

@@ -169,12 +169,7 @@ impl Gradients {
         if !is_inside {
             return None;
         }
-        self.cell(column as usize, row as usize)
-    }
-
-    /// The same of the cell in a column and a row of the image.
-    pub(super) fn cell(&self, column: usize, row: usize) -> Option<[f32; 2]> {
-        let cell = &self.cells[row * self.columns + column];
+        let cell = &self.cells[row as usize * self.columns + column as usize];
         let direction = || f32::from(cell[1]) / DIRECTIONS as f32;
         is_seen(cell).then(|| [strength(cell), direction()])
     }

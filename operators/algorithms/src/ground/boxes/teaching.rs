@@ -28,7 +28,6 @@ use crate::learning::calibration::Calibration;
 use crate::learning::gaussian_process::{
     LearningError, LinearProcess, Posterior, QUESTIONS, UNCERTAIN,
 };
-use crate::solving::median::median;
 
 /// A hypothesis that overlaps a rejected box by more than this was answered.
 const ANSWERED: f64 = 0.8;
@@ -134,7 +133,10 @@ impl Taught {
         }
         let process = LinearProcess::learn(&lesson.samples, &lesson.answers)?;
         let held = lesson.left_out(&process);
-        let calibration = Calibration::learn(&held).unwrap_or_else(|| untaught(&held, &process));
+        let accepted = examples.iter().filter(|one| one.said == Said::Accepted);
+        let accepted = accepted.count();
+        let calibration =
+            Calibration::learn(&held).unwrap_or_else(|| untaught(&held, &process, accepted));
         Ok(Some(Self {
             calibration,
             process,
@@ -254,11 +256,14 @@ impl Taught {
     }
 }
 
-/// Before anything was rejected nothing tells what a mean is worth: as likely as not is what looks like the boxes of the kind
-/// do to those who have not seen them, at the median.
-fn untaught(held: &[(f64, bool)], process: &LinearProcess) -> Calibration {
+/// Before anything was rejected nothing tells what a mean is worth. As likely as not is what looks like the boxes of the kind
+/// do to those who have not seen them, at the median; with each that was asked for and `accepted` it is less: of so many and
+/// two more, one would be none (Laplace's rule of succession), and that is what looks least like the others.
+fn untaught(held: &[(f64, bool)], process: &LinearProcess, accepted: usize) -> Calibration {
     let ones = held.iter().filter(|(_, is_one)| *is_one);
-    let middle = median(ones.map(|(mean, _)| *mean).collect());
+    let mut ones: Vec<f64> = ones.map(|(mean, _)| *mean).collect();
+    ones.sort_by(f64::total_cmp);
+    let middle = ones.get(ones.len() / (accepted + 2));
     Calibration {
         middle: middle.map_or(0.0, |mean| mean.max(0.0)),
         slope: PROBIT / process.noise().sqrt().max(f64::MIN_POSITIVE),
