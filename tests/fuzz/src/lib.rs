@@ -166,6 +166,7 @@ fn roles(bytes: &[u8]) {
             image: Some(&image),
             cameras: &cameras,
             robot: &robot,
+            bits: None,
         })
         .collect();
     for role in roles::ALL.iter().filter_map(|role| role.messages()) {

@@ -287,7 +287,8 @@ mod tests {
         let bayer = raw("bayer_grbg16 12-bit", 2, 2, 4);
         let expected = [&b"P6\n2 2\n255\n"[..], &[0x12; 12]].concat();
         assert_eq!(*as_file(&bayer, &samples([0x123; 4])).unwrap(), *expected);
-        let more = as_file(&raw("mono16 10-bit", 2, 2, 4), &samples([0, 1023, 1024, 5]));
+        let bytes = samples([0, 1023, 1024, 5]);
+        let more = as_file(&raw("mono16 10-bit", 2, 2, 4), &bytes);
         let more = more.unwrap_err();
         assert!(
             more.contains("of 10 bits") && more.contains("one of 1024"),
