@@ -3,7 +3,6 @@
 pub mod light;
 pub mod node;
 pub mod operator;
-pub mod paused;
 pub mod pixels;
 pub mod planned;
 pub mod python;

@@ -19,7 +19,7 @@ use datafusion::physical_plan::joins::utils::JoinFilter;
 use datafusion::physical_plan::joins::{NestedLoopJoinExec, NestedLoopJoinExecBuilder};
 use datafusion::physical_plan::unnest::UnnestExec;
 
-use crate::sql::go_on;
+use crate::sql::term::go_on;
 
 /// The rule that has joins and lists pause between the batches that they make, and joins that meet all pairs of rows ask
 /// between those whether somebody still waits.
