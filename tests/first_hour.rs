@@ -166,7 +166,13 @@ fn a_plan_that_reads_nothing_of_a_session_says_so_and_what_any_log_has_is_read()
     let said = "the plan cannot use any session: expected a step that reads a role or a topic of sessions, found none";
     assert!(refused.contains(said), "{refused}");
     said_of("topics", "SELECT session, topic FROM channels").expect(0);
-    said_of("classes", "SELECT * FROM label_classes").expect(0);
+    // It has none, which is said and no refusal.
+    let empty = said_of("classes", "SELECT * FROM label_classes").expect(3);
+    assert!(
+        empty.stderr.contains("no layer has rows"),
+        "{}",
+        empty.stderr
+    );
 }
 
 #[test]

@@ -37,8 +37,8 @@ def main(postgres):
     (text,) = made.fetchone()
     assert shapely.from_wkb(text) == shapely.Point(1, 2, 3)
     # Also beside what is nested, and under a name from within.
-    for query in ["SELECT st_point(1, 2), [[1]]", "SELECT g, [[1]] FROM (SELECT st_point(1, 2) AS g) AS t"]:
-        assert client.execute(query).description[0].type_code == info.oid, query
+    for nested in ["SELECT st_point(1, 2), [[1]]", "SELECT g, [[1]] FROM (SELECT st_point(1, 2) AS g) AS t"]:
+        assert client.execute(nested).description[0].type_code == info.oid, nested
     ewkb = shapely.to_wkb(shapely.Point(4, 6, 0), include_srid=True)
     (far,) = client.execute("SELECT st_distance(st_point(1, 2), %b)", [ewkb]).fetchone()
     assert abs(far - 5) < 1e-9, far

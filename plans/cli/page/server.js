@@ -36,7 +36,7 @@ function exact(text) {
  * A name as a part of a path. Browsers take `.` and `..` for folders, however they are encoded: a `~` stands before these, and
  * before `~.`, which would be read as `.`.
  */
-function part(name) {
+function segment(name) {
   return encodeURIComponent(/^~*\.\.?$/.test(name) ? `~${name}` : name);
 }
 
@@ -48,7 +48,7 @@ function part(name) {
  * @param {object} [said] what is said of the site, or of the image
  */
 export async function teaching(of = [], asked = {}, said = undefined) {
-  const address = `${["./teach", ...of.map(part)].join("/")}?${new URLSearchParams(asked)}`;
+  const address = `${["./teach", ...of.map(segment)].join("/")}?${new URLSearchParams(asked)}`;
   const how = said && { method: "POST", headers: { "content-type": "application/json" }, body: JSON.stringify(said) };
   const answer = await fetch(address, how);
   if (answer.ok) return answer.json();
@@ -63,7 +63,7 @@ export async function maps() {
 
 /** The address of a tile, by the numbers of its row. */
 export function tile(site, version, zoom, x, y) {
-  return `./tiles/${part(site)}/${version}/${zoom}/${x}/${y}`;
+  return `./tiles/${segment(site)}/${version}/${zoom}/${x}/${y}`;
 }
 
 /** The address of a camera image that a keyframe names. */

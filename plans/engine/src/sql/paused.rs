@@ -2,7 +2,7 @@
 //! and a thread sees to others; of a batch that is read a join may make as many as the other side has rows.
 
 use std::fmt::{self, Display, Formatter};
-use std::hash::Hash;
+use std::hash::{Hash, Hasher};
 use std::sync::Arc;
 
 use arrow::array::RecordBatch;
@@ -70,8 +70,14 @@ fn asking(plan: &Arc<dyn ExecutionPlan>) -> Result<Option<Arc<dyn ExecutionPlan>
 }
 
 /// An expression that asks whether somebody still waits before it is evaluated.
-#[derive(Debug, Eq, Hash)]
+#[derive(Debug, Eq)]
 struct Asking(Arc<dyn PhysicalExpr>);
+
+impl Hash for Asking {
+    fn hash<H: Hasher>(&self, state: &mut H) {
+        self.0.hash(state);
+    }
+}
 
 // A derived one moves what the pointer points to (rust-lang/rust#78808).
 impl PartialEq for Asking {
