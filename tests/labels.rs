@@ -1005,6 +1005,17 @@ fn boxes_on_camera_images_answer_for_who_is_seen_in_them() {
             .concat(),
         )
     };
+    // Boxes of something else say nothing, not even that there is no person: the one that is gone says so.
+    let other = said.to_string().replace("Person", "pedestrian");
+    std::fs::write(&file, other).unwrap();
+    let ended = import(&folder, "eve").expect(3);
+    for told in [
+        "eve.mcap: 1 rejected",
+        "box of something else than a person",
+    ] {
+        assert!(ended.stderr.contains(told), "{told}: {}", ended.stderr);
+    }
+    std::fs::write(&file, said.to_string()).unwrap();
     let ended = import(&folder, "ada").expect(0);
     let told = "ada.mcap: 1 accepted, 1 drawn, 1 rejected";
     assert!(ended.stderr.contains(told), "{}", ended.stderr);
