@@ -5,7 +5,7 @@
 use std::path::{Path, PathBuf};
 use std::process::Stdio;
 
-use evermap_messages::annotation::{Annotation, Geometry};
+use evermap_messages::annotation::{Anchor, Annotation, Geometry};
 use evermap_recording::annotations::AnnotationLog;
 use evermap_tests::asked::AskedStreet;
 use evermap_tests::{DrivePose, Finished, command, evermap, text, write_drive};
@@ -1005,6 +1005,17 @@ fn boxes_on_camera_images_answer_for_who_is_seen_in_them() {
             .concat(),
         )
     };
+    // Boxes of something else say nothing, not even that there is no person: the one that is gone says so.
+    let other = said.to_string().replace("Person", "pedestrian");
+    std::fs::write(&file, other).unwrap();
+    let ended = import(&folder, "eve").expect(3);
+    for told in [
+        "eve.mcap: 1 rejected",
+        "box of something else than a person",
+    ] {
+        assert!(ended.stderr.contains(told), "{told}: {}", ended.stderr);
+    }
+    std::fs::write(&file, said.to_string()).unwrap();
     let ended = import(&folder, "ada").expect(0);
     let told = "ada.mcap: 1 accepted, 1 drawn, 1 rejected";
     assert!(ended.stderr.contains(told), "{}", ended.stderr);
@@ -1074,3 +1085,71 @@ fn boxes_on_camera_images_answer_for_who_is_seen_in_them() {
         lost.stderr
     );
 }
+
+/// What is said of an image that there is not is refused, and where a log has it all the same, a run counts it.
+#[test]
+fn answers_about_an_image_that_is_not_there_are_refused_or_counted() {
+    let street = AskedStreet::new();
+    let map = street.map();
+    let first =
+        "SELECT CAST(stamp AS BIGINT) AS stamp, camera FROM pictures ORDER BY stamp LIMIT 1";
+    let first = evermap(&["sql", "--map", text(&map), "--format", "json", first]);
+    let first = first.expect(0).json()[0].clone();
+    let (file, log) = (street.path("person.json"), street.path("ada.mcap"));
+    let import = |camera: &Value| {
+        let mut person = collection(&[("nobody", space(5.0, 0.0))]);
+        let image = json!({ "session": "visit_a", "stamp": first["stamp"], "camera": camera });
+        person["features"][0]["properties"] = json!({ "kind": "person", "image": image });
+        std::fs::write(&file, person.to_string()).unwrap();
+        let (map, file, log) = (text(&map), text(&file), text(&log));
+        let import = ["annotate", "--map", map, "--author", "ada"];
+        evermap(&[&import[..], &["--import", file, "--out", log]].concat())
+    };
+    let refused = import(&"no_camera".into()).expect(3);
+    let told = "feature of an image that the map does not have";
+    assert!(refused.stderr.contains(told), "{}", refused.stderr);
+    assert!(!log.exists());
+    let taken = import(&first["camera"]).expect(0);
+    assert!(taken.stderr.contains("1 drawn"), "{}", taken.stderr);
+
+    let other = street.path("bob.mcap");
+    let mut act = drawn("nobody", 3.0, 0.0);
+    act.kind = "person".into();
+    act.anchor = Some(Anchor {
+        session: "visit_a".into(),
+        stamp_ns: 7,
+        camera: Some("no_camera".into()),
+        vehicle_from_label: [3.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0],
+    });
+    say(&other, &[act]);
+    let (plan, answered) = (street.path("answered.yaml"), street.path("answered"));
+    std::fs::write(&plan, ANSWERED).unwrap();
+    let mut run = vec!["run", text(&plan), "--map", text(&answered)];
+    run.extend(["--site", "street", "--progress", "none", "--sessions"]);
+    let drive = street.log();
+    run.extend([text(&drive), text(&other)]);
+    let run = evermap(&run).expect(3);
+    let told = "1  label of an image that the map does not have";
+    assert!(run.stderr.contains(told), "{}", run.stderr);
+}
+
+/// Examples of people as the plan `people` has them, of all images of a log.
+const ANSWERED: &str = "\
+plan: answered
+steps:
+  cameras: { sql: SELECT * FROM calibration }
+  mounts: { sql: SELECT * FROM transforms WHERE fixed }
+  labels:
+    sql: SELECT site, id AS label, kind, act AS standing, stamp AS said, anchor FROM annotations
+  answered_images:
+    sql: >
+      SELECT said.site, said.session, said.stamp, said.camera, f.image
+      FROM (SELECT DISTINCT site, anchor['session'] AS session, anchor['stamp'] AS stamp, anchor['camera'] AS camera
+            FROM labels WHERE kind = 'person' AND anchor['camera'] IS NOT NULL) said
+      LEFT JOIN frames f
+        ON f.site = said.site AND f.session = said.session AND f.stamp = said.stamp AND f.camera = said.camera
+  person_examples:
+    op: person_examples
+    in: { images: answered_images, labels: labels, calibration: cameras, transforms: mounts }
+write: [person_examples]
+";

@@ -252,7 +252,7 @@ def people(host):
     no = of_person(second, "rejected", stamp=int(second["image"]["stamp"]))
     assert ask(here, {"author": "ada", "features": no})[1]["saved"] == 1
     for image, text in [({"camera": None}, "without session, stamp (ns) and camera"), ({"stamp": "soon"}, "without session, stamp (ns) and camera"),
-                        ({"stamp": "7"}, "no vehicle pose"), ({"session": "nobody"}, "no vehicle pose")]:
+                        ({"camera": "nobody"}, "an image that the map does not have"), ({"stamp": "7"}, "no vehicle pose"), ({"session": "nobody"}, "no vehicle pose")]:
         status, said = ask(here, {"author": "ada", "features": of_person(open_ones[2], "accepted", **image)})
         assert status == 400 and text in said["error"] and said["next"] == "nothing was saved", (image, said)
     assert asked(host)[0] == all_of_them[2:]

@@ -5,9 +5,9 @@ use std::collections::BTreeMap;
 use evermap_algorithms::ground::people::PeopleParams;
 use evermap_algorithms::ground::people::search::{Person, people, person_at};
 use evermap_contract::{Emit, Fault, Operator, Pixels, Port, Reach, Reason, Sides, Work};
-use evermap_schemas::layers::{FrameImage, PersonExample};
+use evermap_schemas::layers::PersonExample;
 use evermap_schemas::roles::Anchor;
-use evermap_schemas::{Stamp, record};
+use evermap_schemas::{ImageRef, Stamp, record};
 
 use crate::inputs::painting::ImageKey;
 use crate::inputs::people::{self as looking, Looking, PERSON, REJECTED, Room, Sight};
@@ -19,6 +19,8 @@ pub struct PersonExamples;
 /// A label is about the hypothesis that is nearest to it, no farther away than this (m): a person 8 m away is placed to half
 /// a metre along the line of sight.
 const WITHIN_M: f64 = 1.0;
+/// Why labels of an image that is not there are left out.
+const MISSING: &str = "label of an image that the map does not have";
 
 record! {
     /// A label, as far as it may say something of a person in an image.
@@ -39,15 +41,32 @@ record! {
     }
 }
 
+record! {
+    /// An image of which something was said, as labels name it.
+    #[layer("answered_images", key(site, session, stamp, camera))]
+    pub struct AnsweredImage {
+        /// Site that was driven.
+        site: String,
+        /// Session that was driven.
+        session: String,
+        /// Instant of the keyframe.
+        stamp: Stamp ["ns"],
+        /// Camera that took it.
+        camera: String,
+        /// Where the pixels are; null where the map has no such image.
+        image: Option<ImageRef>,
+    }
+}
+
 impl Operator for PersonExamples {
     const NAME: &'static str = "person_examples";
-    const VERSION: u32 = 1;
+    const VERSION: u32 = 2;
     const PAGE: &'static str = include_str!("person_examples.md");
     type Params = OfVehicle<PeopleParams>;
     type Output = PersonExample;
 
     fn work() -> Work<Self::Params> {
-        let images = Port::session::<FrameImage>("images").pixels("image");
+        let images = Port::session::<AnsweredImage>("images").pixels("image");
         let mut sides = vec![Port::site::<PersonLabel>("labels").needed()];
         sides.extend(rig::ports(Reach::Session));
         Work::batches(images, sides, Answers::new, Answers::of_images)
@@ -102,19 +121,28 @@ impl Answers {
 
     fn of_images(
         &self,
-        images: Vec<FrameImage>,
+        images: Vec<AnsweredImage>,
         pixels: &Pixels,
         emit: &mut Emit<'_>,
     ) -> Result<(), Fault> {
         let mut room = Room::default();
         for (row, image) in images.into_iter().enumerate() {
             let key = (image.session.clone(), image.stamp, image.camera.clone());
-            let (Some(said), Some(bytes)) = (self.said.get(&key), pixels.get(row)) else {
+            let Some(said) = self.said.get(&key) else {
                 continue;
             };
+            let Some(reference) = &image.image else {
+                emit.skip(MISSING, said.len() as u64);
+                continue;
+            };
+            let Some(bytes) = pixels.get(row) else {
+                continue;
+            };
+            let named = (&*image.session, &*image.camera, image.stamp);
+            let find = |sight: Sight<'_>| meant(said, sight);
             let meant = self
                 .looking
-                .at(&image, bytes, &mut room, |sight| meant(said, sight));
+                .at(named, &reference.format, bytes, &mut room, find);
             let meant = match meant {
                 Ok(meant) => meant,
                 Err(reason) => {
@@ -164,7 +192,7 @@ fn meant(said: &[Answer], sight: Sight<'_>) -> Vec<Option<Person>> {
 
 /// What an answer teaches, given whom it means, and behind that whom later ones mean.
 fn example(
-    image: &FrameImage,
+    image: &AnsweredImage,
     answer: &Answer,
     meant: &[Option<Person>],
 ) -> Result<PersonExample, Reason> {
@@ -191,4 +219,73 @@ fn example(
         probability: one.probability,
         description: one.description.clone(),
     })
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use evermap_contract::laws::{Split, inputs_of, run};
+    use evermap_contract::{Entry, Losses};
+    use evermap_schemas::Pose;
+    use serde_json::json;
+
+    use super::*;
+
+    /// What somebody said of a person in an image of this camera.
+    fn answer(label: &str, camera: &str) -> PersonLabel {
+        PersonLabel {
+            site: "lot".into(),
+            label: label.into(),
+            kind: PERSON.into(),
+            standing: "accepted".into(),
+            said: Stamp(10),
+            anchor: Some(Anchor {
+                session: "a".into(),
+                stamp: Stamp(5),
+                camera: Some(camera.into()),
+                vehicle_from_label: Pose::IDENTITY,
+            }),
+        }
+    }
+
+    /// An image of this camera, or that there is none.
+    fn image(camera: &str, image: Option<ImageRef>) -> AnsweredImage {
+        AnsweredImage {
+            site: "lot".into(),
+            session: "a".into(),
+            stamp: Stamp(5),
+            camera: camera.into(),
+            image,
+        }
+    }
+
+    #[test]
+    fn answers_about_an_image_that_is_not_there_are_counted() {
+        let there = ImageRef {
+            session: "a".into(),
+            part: 0,
+            chunk: None,
+            chunk_length: 0,
+            chunk_size: 0,
+            compression: String::new(),
+            offset: 0,
+            length: 1,
+            format: "jpeg".into(),
+            width: None,
+            height: None,
+            step: None,
+        };
+        let images = vec![image("front", Some(there)), image("right", None)];
+        let labels = [("one", "right"), ("two", "right"), ("three", "front")];
+        let labels = labels.map(|(label, camera)| answer(label, camera)).to_vec();
+        let inputs = [inputs_of("images", images), inputs_of("labels", labels)];
+        let inputs = inputs.map(Result::unwrap).into_iter().collect();
+        let entry = Entry::of::<PersonExamples>();
+        let found = run(&entry, &json!({}), &inputs, Split::default()).unwrap();
+        assert_eq!(found.rows.num_rows(), 0);
+        let mut expected = Losses::default();
+        expected.add(MISSING, 2);
+        // Who could not fetch an image has counted it.
+        assert_eq!(found.losses, expected);
+    }
 }

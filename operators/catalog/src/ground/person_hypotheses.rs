@@ -35,7 +35,8 @@ fn hypotheses(
     bytes: &[u8],
     room: &mut Room,
 ) -> Result<Vec<PersonHypothesis>, Reason> {
-    let found = looking.at(&image, bytes, room, |sight| {
+    let named = (&*image.session, &*image.camera, image.stamp);
+    let found = looking.at(named, &image.image.format, bytes, room, |sight| {
         let Sight {
             upright,
             image,

@@ -7,7 +7,8 @@ use evermap_algorithms::ground::people::{PeopleParams, WindowDetector};
 use evermap_algorithms::ground::projection::GrayView;
 use evermap_algorithms::learning::gaussian_process::LinearProcess;
 use evermap_contract::{Fault, Reason, Sides};
-use evermap_schemas::layers::{FrameImage, PersonModel};
+use evermap_schemas::Stamp;
+use evermap_schemas::layers::PersonModel;
 use evermap_vision::{Grey, PeopleDetector, decode_grey};
 
 use crate::inputs::calibrated::{Calibrated, Mounted};
@@ -95,15 +96,16 @@ impl Looking {
         self.params.options.plane_m
     }
 
-    /// What is found in an image.
+    /// What is found in an image, named by session, camera and instant, that was recorded in this format.
     pub(crate) fn at<T>(
         &self,
-        image: &FrameImage,
+        named: (&str, &str, Stamp),
+        format: &str,
         bytes: &[u8],
         room: &mut Room,
         find: impl FnOnce(Sight<'_>) -> T,
     ) -> Result<T, Reason> {
-        let undecoded = || undecoded(&image.camera, &image.image.format);
+        let undecoded = || undecoded(named.1, format);
         decode_grey(bytes, &mut room.grey).map_err(|error| left_out(&error, undecoded()))?;
         let Grey {
             width,
@@ -111,7 +113,7 @@ impl Looking {
             ref data,
         } = room.grey;
         let view = GrayView::new(width, height, data).ok_or_else(undecoded)?;
-        let upright = self.upright(image, [width, height])?;
+        let upright = self.upright(named, [width, height])?;
         if room.detector.is_none() {
             let detector = PeopleDetector::new().map_err(|_| "detector does not work")?;
             room.detector = Some(Detector {
@@ -128,8 +130,7 @@ impl Looking {
         }))
     }
 
-    fn upright(&self, image: &FrameImage, size: [u32; 2]) -> Result<Arc<Upright>, Reason> {
-        let named = (&*image.session, &*image.camera, image.stamp);
+    fn upright(&self, named: (&str, &str, Stamp), size: [u32; 2]) -> Result<Arc<Upright>, Reason> {
         self.cameras.get(named, size, |mounted| {
             let Mounted {
                 camera,

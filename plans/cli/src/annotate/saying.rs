@@ -95,6 +95,13 @@ fn acts(
         return Ok(Err("feature that neither names a label nor has a geometry"));
     };
     let known = state.labels.get(&label);
+    // What a label is tied to already, it stays tied to.
+    let is_tied = known.is_some_and(|known| is_shown_by(known, image));
+    if image.is_some_and(|image| !is_tied && !state.may_have(image)) {
+        return Ok(Err(
+            "feature of an image that the map does not have: no such camera, or none then",
+        ));
+    }
     let Some(kind) = kind.or(known.map(|known| &known.kind)) else {
         return Ok(Err("feature without a kind"));
     };

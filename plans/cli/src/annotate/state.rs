@@ -13,9 +13,11 @@ use evermap_catalog::painted::ImageKey;
 use evermap_contract::Reason;
 use evermap_datasets::{Dataset, Manifest};
 use evermap_language::nearest;
-use evermap_schemas::layers::{LabelAnchor, MapFrame, PlacedLabel, VehiclePose};
+use evermap_schemas::layers::{
+    Keyframe, LabelAnchor, MapFrame, PersonQuestion, PlacedLabel, VehiclePose,
+};
 use evermap_schemas::roles::{Anchor, Annotation, Calibration, ImageAnnotation, Transform};
-use evermap_schemas::{Fault, LayerRow};
+use evermap_schemas::{Fault, LayerRow, Stamp};
 
 use super::Losses;
 use crate::reader::{MapReader, answered, one_site, only, typed};
@@ -39,6 +41,8 @@ pub struct State {
     pub has_poses: bool,
     /// The poses and frames of the version.
     pub holds: Holds,
+    /// The images that layers name.
+    images: BTreeSet<ImageKey>,
     placer: Placer,
     acts: Vec<Annotation>,
     before: Vec<LabelAnchor>,
@@ -66,6 +70,7 @@ impl State {
             return Err(without_poses());
         }
         let site = one_site(sites, site)?;
+        let images = images(reader, &site, pictures).await?;
         let mut acts: Vec<Annotation> = layer(reader, SAID, &site).await?;
         acts.extend(from_logs(logs, &site, losses).await?);
         let frames: Vec<MapFrame> = reader.rows(Some(&site)).await?;
@@ -98,6 +103,7 @@ impl State {
             labels: BTreeMap::new(),
             has_poses,
             holds,
+            images,
             placer,
             acts: Vec::new(),
             before,
@@ -118,6 +124,23 @@ impl State {
             true => None,
             false => nearest(kind, kinds),
         }
+    }
+
+    /// Whether there is an image, as far as the map tells: one that its layers name, or that a camera took at a vehicle pose,
+    /// as labels are tied to these. Where nothing is known of a session's images, or of its cameras, it may be there.
+    pub fn may_have(&self, image: &ImageKey) -> bool {
+        let (session, stamp, camera) = image;
+        if self.images.contains(image) {
+            return true;
+        }
+        let first = (session.clone(), Stamp(i64::MIN), String::new());
+        let next = self.images.range(first..).next();
+        let knows_images = next.is_some_and(|(of, ..)| of == session);
+        let may_be_camera = match self.holds.knows_cameras(session) {
+            true => self.holds.camera(session, camera).is_some(),
+            false => !knows_images,
+        };
+        may_be_camera && (!knows_images || self.holds.has_pose(session, *stamp))
     }
 
     /// Where the vehicle stood when an image was taken; `None` where the map does not say.
@@ -147,6 +170,38 @@ impl State {
         let placed = labels.filter_map(|label| self.placer.placed(label, &mut tell));
         self.labels = placed.map(|label| (label.label.clone(), label)).collect();
     }
+}
+
+/// The images of a site that a map names: pictures, and those of keyframes and of questions about people. Plans name the images
+/// of a keyframe by its own instant, too.
+async fn images(
+    reader: &MapReader,
+    site: &str,
+    pictures: Vec<Picture>,
+) -> Result<BTreeSet<ImageKey>, Fault> {
+    let pictures = pictures.into_iter().filter(|row| row.site == site);
+    let pictures = pictures.map(|row| (row.session, row.stamp, row.camera));
+    let mut images: BTreeSet<ImageKey> = pictures.collect();
+    let keyframes: Vec<Keyframe> = reader.rows(Some(site)).await?;
+    for Keyframe {
+        session,
+        stamp,
+        images: taken,
+        ..
+    } in keyframes
+    {
+        for image in taken {
+            images.insert((session.clone(), image.stamp, image.camera.clone()));
+            images.insert((session.clone(), stamp, image.camera));
+        }
+    }
+    let asked: Vec<PersonQuestion> = reader.rows(Some(site)).await?;
+    images.extend(
+        asked
+            .into_iter()
+            .map(|row| (row.session, row.stamp, row.camera)),
+    );
+    Ok(images)
 }
 
 /// The image that a label is tied to; `None` where it is tied to no camera's.
@@ -207,4 +262,59 @@ async fn from_logs<T: LayerRow>(
         losses.count(&reason, count);
     }
     typed(&rows)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A map with poses of `a` at 5 and 9 ns, of which it names these images.
+    fn state(images: &[(i64, &str)]) -> State {
+        let pose = |stamp: i64| VehiclePose {
+            site: "lot".into(),
+            session: "a".into(),
+            stamp: Stamp(stamp),
+            map_from_vehicle: evermap_schemas::Pose::IDENTITY,
+        };
+        let map = MapRows {
+            poses: vec![pose(5), pose(9)],
+            ..MapRows::default()
+        };
+        let params = OfVehicle {
+            options: AnchorParams::default(),
+            vehicle: evermap_catalog::VehicleFrame::default(),
+        };
+        let placing = PlacingParams::default();
+        let placer = Placer::new(map.poses.clone(), Vec::new(), Vec::new(), &placing);
+        let images = images
+            .iter()
+            .map(|(stamp, camera)| image("a", *stamp, camera));
+        State {
+            site: "lot".into(),
+            version: 1,
+            labels: BTreeMap::new(),
+            has_poses: true,
+            holds: Holds::new(map, &params),
+            images: images.collect(),
+            placer,
+            acts: Vec::new(),
+            before: Vec::new(),
+        }
+    }
+
+    fn image(session: &str, stamp: i64, camera: &str) -> ImageKey {
+        (session.into(), Stamp(stamp), camera.into())
+    }
+
+    #[test]
+    fn an_image_of_another_camera_or_instant_is_not_there() {
+        let named = state(&[(5, "front"), (6, "front")]);
+        assert!(named.may_have(&image("a", 6, "front")));
+        assert!(!named.may_have(&image("a", 6, "right")));
+        assert!(!named.may_have(&image("a", 7, "front")));
+        assert!(named.map_from_vehicle(&image("a", 7, "front")).is_some());
+        // Of another session, and of a map without images, nothing is known.
+        assert!(named.may_have(&image("b", 7, "right")));
+        assert!(state(&[]).may_have(&image("a", 7, "right")));
+    }
 }

@@ -134,10 +134,10 @@ impl Fetcher {
         let images = references(batch, &self.fetching.column)?;
         let (mut pieces, mut start, mut held) = (Vec::new(), 0, 0);
         for (row, image) in images.into_iter().enumerate() {
-            let length = match Codec::named(&image.format) {
+            let length = image.map_or(0, |image| match Codec::named(&image.format) {
                 Some(_) => VIDEO_BYTES,
                 None => image.length,
-            };
+            });
             if held > 0 && held + length > SLICE_BYTES {
                 pieces.push(batch.slice(start, row - start));
                 (start, held) = (row, 0);
@@ -148,14 +148,22 @@ impl Fetcher {
         Ok(pieces)
     }
 
-    /// The batch with the images beside it; what cannot be fetched is null and counted.
+    /// The batch with the images beside it; what cannot be fetched is null and counted. Where there is no reference, there is
+    /// no image either, and nothing to count.
     async fn fetch(&self, batch: RecordBatch) -> Result<RecordBatch, Fault> {
-        let images = references(&batch, &self.fetching.column)?;
+        let references = references(&batch, &self.fetching.column)?;
+        let named: Vec<bool> = references.iter().map(Option::is_some).collect();
+        let images: Vec<ImageRef> = references.into_iter().flatten().collect();
         let timer = self.baseline.elapsed_compute().timer();
         let fetched = self.fetching.reader.resolve(&images).await?;
         timer.done();
+        let mut fetched = images.iter().zip(fetched);
         let mut bytes = BinaryBuilder::new();
-        for (image, fetched) in images.iter().zip(fetched) {
+        for is_named in named {
+            let Some((image, fetched)) = is_named.then(|| fetched.next()).flatten() else {
+                bytes.append_null();
+                continue;
+            };
             let file = match &fetched {
                 Ok(fetched) => as_file(image, fetched),
                 Err(fault) => Err(fault.message.clone()),
@@ -189,10 +197,10 @@ impl Fetcher {
     }
 }
 
-fn references(batch: &RecordBatch, column: &str) -> Result<Vec<ImageRef>, Fault> {
+fn references(batch: &RecordBatch, column: &str) -> Result<Vec<Option<ImageRef>>, Fault> {
     let found = batch
         .column_by_name(column)
         .ok_or_else(|| Fault::bug(format!("no image column {column}")))?;
-    ImageRef::decode(&convert(found, &ImageRef::data_type())?)
+    Option::<ImageRef>::decode(&convert(found, &ImageRef::data_type())?)
         .map_err(|fault| fault.at(format!("column {column}")))
 }

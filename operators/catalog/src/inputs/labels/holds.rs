@@ -85,6 +85,18 @@ impl Holds {
         nearest.map_or(0.0, |pose| pose.translation.z)
     }
 
+    /// Whether it is known of any camera of a session how it sees, and where it is mounted.
+    pub fn knows_cameras(&self, session: &str) -> bool {
+        let rig = self.rigs.get(session);
+        rig.is_some_and(|rig| !rig.cameras.is_empty())
+    }
+
+    /// Whether the vehicle has a pose of just this instant.
+    pub fn has_pose(&self, session: &str, stamp: Stamp) -> bool {
+        let mut of = self.of.iter();
+        of.any(|(known, at)| known == session && *at == stamp)
+    }
+
     /// A camera of a session; `None` where it is not known how it sees, or where it is mounted.
     pub fn camera(&self, session: &str, name: &str) -> Option<&RigCamera> {
         let rig = self.rigs.get(session)?;

@@ -1,5 +1,7 @@
 //! Common Objects in Context.
 
+use std::collections::BTreeSet;
+
 use evermap_schemas::Fault;
 use serde_json::{Value, json};
 
@@ -35,6 +37,7 @@ pub(super) fn read(value: &Value, canvases: &[Canvas], losses: &mut Losses) -> R
     let mut said = Said {
         drawn: Vec::new(),
         seen: chosen.iter().map(|(_, at)| *at).collect(),
+        unread: BTreeSet::new(),
     };
     for (number, annotation) in list("annotations").iter().enumerate() {
         let place = format!("annotation {number}");
@@ -52,7 +55,10 @@ pub(super) fn read(value: &Value, canvases: &[Canvas], losses: &mut Losses) -> R
                 let drawn = Drawn::said(place, kind, shape);
                 said.drawn.push(drawn.called(name).on(at));
             }
-            None => losses.note("annotation that is neither box nor outline", &place),
+            None => {
+                losses.note("annotation that is neither box nor outline", &place);
+                said.unread.insert(at);
+            }
         }
     }
     Ok(said)

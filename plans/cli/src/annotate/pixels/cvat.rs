@@ -1,5 +1,6 @@
 //! CVAT for images 1.1.
 
+use std::collections::BTreeSet;
 use std::fmt::Write;
 
 use evermap_schemas::Fault;
@@ -10,7 +11,8 @@ use super::{Drawn, NAME, Pixel, Rectangle, Said, Shape, both};
 use crate::annotate::Losses;
 use crate::annotate::mosaic::Picture;
 
-/// The shapes on pictures: boxes, turned clockwise about their middle, polygons and polylines.
+/// The shapes on pictures: boxes, turned clockwise about their middle, polygons and polylines, and the boxes around ellipses and
+/// masks.
 ///
 /// # Errors
 /// A user fault for what is no XML, no annotations of images, or those of other pictures alone.
@@ -37,6 +39,7 @@ pub(super) fn read(text: &str, canvases: &[Canvas], losses: &mut Losses) -> Resu
     let mut said = Said {
         drawn: Vec::new(),
         seen: chosen.iter().flatten().copied().collect(),
+        unread: BTreeSet::new(),
     };
     for (picture, at) in pictures.iter().zip(chosen) {
         let shapes = picture.children().filter(Node::is_element);
@@ -48,18 +51,32 @@ pub(super) fn read(text: &str, canvases: &[Canvas], losses: &mut Losses) -> Resu
             };
             match shape(node) {
                 Some(shape) => {
+                    if is_coarse(node) {
+                        losses.note(BOX_OF, &place);
+                    }
                     let kind = node.attribute("label").map(str::to_owned);
                     let drawn = Drawn::said(place, kind, shape);
                     said.drawn.push(drawn.called(name(node)).on(at));
                 }
-                None => losses.note(
-                    "annotation that is neither box nor outline nor line",
-                    &place,
-                ),
+                None => {
+                    losses.note(NO_SHAPE, &place);
+                    // A tag is of the whole picture.
+                    said.unread
+                        .extend((!node.has_tag_name("tag")).then_some(at));
+                }
             }
         }
     }
     Ok(said)
+}
+
+/// Why a shape is left out.
+const NO_SHAPE: &str = "annotation that is neither box nor outline nor line";
+/// What is told of a shape whose outline is not taken.
+const BOX_OF: &str = "ellipse or mask taken as the box around it";
+
+fn is_coarse(shape: Node<'_, '_>) -> bool {
+    ["ellipse", "mask"].contains(&shape.tag_name().name())
 }
 
 /// The name of a label, if a shape has one among its attributes.
@@ -79,13 +96,24 @@ fn described(picture: &Node<'_, '_>) -> Described {
 
 fn shape(node: Node<'_, '_>) -> Option<Shape> {
     let number = |name: &str| node.attribute(name)?.parse::<f64>().ok();
+    let turned = |corner: Pixel, size: [f64; 2]| {
+        let degrees = number("rotation").unwrap_or(0.0);
+        Shape::Box(Rectangle::about_middle(corner, size, degrees))
+    };
     match node.tag_name().name() {
         "box" => {
             let [left, top] = [number("xtl")?, number("ytl")?];
             let size = [number("xbr")? - left, number("ybr")? - top];
-            let degrees = number("rotation").unwrap_or(0.0);
-            let found = Rectangle::about_middle([left, top], size, degrees);
-            Some(Shape::Box(found))
+            Some(turned([left, top], size))
+        }
+        "ellipse" => {
+            let [x, y] = [number("cx")?, number("cy")?];
+            let [across, down] = [number("rx")?, number("ry")?];
+            Some(turned([x - across, y - down], [2.0 * across, 2.0 * down]))
+        }
+        "mask" => {
+            let corner = [number("left")?, number("top")?];
+            Some(turned(corner, [number("width")?, number("height")?]))
         }
         "polygon" => points(node).map(Shape::Closed),
         "polyline" => points(node).map(Shape::Open),

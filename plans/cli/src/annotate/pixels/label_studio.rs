@@ -41,11 +41,25 @@ pub(super) fn read(tasks: &Value, canvases: &[Canvas], losses: &mut Losses) -> R
                     let drawn = Drawn::said(place, kind, shape);
                     said.drawn.push(drawn.called(name(&result["id"])).on(at));
                 }
-                None => losses.note("annotation that is neither box nor outline", &place),
+                None => {
+                    losses.note("annotation that is neither box nor outline", &place);
+                    said.unread.extend(is_region(result).then_some(at));
+                }
             }
         }
     }
     Ok(said)
+}
+
+/// Results that say something of the whole picture, or of other results.
+const OF_NO_REGION: [&str; 7] = [
+    "choices", "datetime", "number", "rating", "relation", "taxonomy", "textarea",
+];
+
+/// Whether a result is to mark a part of the picture.
+fn is_region(result: &Value) -> bool {
+    let form = result["type"].as_str();
+    form.is_none_or(|form| !OF_NO_REGION.contains(&form))
 }
 
 /// The name of a label, if the id of a result has one.

@@ -1,5 +1,6 @@
 //! Boxes and outlines drawn on a mosaic, or on camera images, with programs that know pixels, read and written.
 
+mod boxes;
 mod coco;
 mod cvat;
 mod described;
@@ -14,6 +15,7 @@ use evermap_schemas::Fault;
 use evermap_schemas::layers::{BoxHypothesis, PlacedLabel};
 use serde_json::Value;
 
+pub(super) use boxes::{Boxes, PictureBox};
 pub(super) use described::Canvas;
 
 use super::features::{Feature, Geometry};
@@ -82,36 +84,6 @@ impl Program {
             .collect())
     }
 
-    /// The boxes around what is drawn on several pictures, and which of these somebody looked at; what makes no sense is noted
-    /// and left out.
-    ///
-    /// # Errors
-    /// As [`Program::read`], and for YOLO's boxes, which do not name their picture.
-    pub(super) fn boxes(
-        self,
-        path: &Path,
-        text: &str,
-        canvases: &[Canvas],
-        losses: &mut Losses,
-    ) -> Result<Boxes, Fault> {
-        if self == Self::YoloObb {
-            return Err(Fault::user(
-                "expected COCO, CVAT or Label Studio, found YOLO's boxes, which do not name their image",
-            ));
-        }
-        let Said { drawn, seen } = self.said(path, text, canvases, losses)?;
-        let boxes = drawn.into_iter().map(|drawn| PictureBox {
-            bounds: drawn.shape.bounds(),
-            place: drawn.place,
-            kind: drawn.kind,
-            picture: drawn.picture,
-        });
-        Ok(Boxes {
-            boxes: boxes.collect(),
-            seen,
-        })
-    }
-
     fn said(
         self,
         path: &Path,
@@ -134,6 +106,7 @@ impl Program {
                 Ok(Said {
                     drawn,
                     seen: BTreeSet::from([0]),
+                    unread: BTreeSet::new(),
                 })
             }
         }
@@ -190,27 +163,8 @@ struct Said {
     drawn: Vec<Drawn>,
     /// Those that somebody looked at, also where nothing is drawn on them.
     seen: BTreeSet<usize>,
-}
-
-/// Boxes on several pictures.
-#[derive(Debug)]
-pub(super) struct Boxes {
-    pub(super) boxes: Vec<PictureBox>,
-    /// The pictures that somebody looked at, also where no box is on them.
-    pub(super) seen: BTreeSet<usize>,
-}
-
-/// The box around what is drawn on one of several pictures.
-#[derive(Debug)]
-pub(super) struct PictureBox {
-    /// Which one, for people.
-    pub(super) place: String,
-    /// What it marks, where it says so.
-    pub(super) kind: Option<String>,
-    /// The number of its picture.
-    pub(super) picture: usize,
-    /// Least and largest column and row.
-    pub(super) bounds: [Pixel; 2],
+    /// Those with a shape that could not be read.
+    unread: BTreeSet<usize>,
 }
 
 /// What is drawn on a picture.
