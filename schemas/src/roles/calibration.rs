@@ -71,18 +71,20 @@ impl FromMessage for Calibration {
         let (cameras, topic, frame) = (message.cameras, message.topic, frame(message));
         let camera = cameras.calibrated(topic, &frame);
         // Which topics are left out so is counted where cameras are named.
-        if cameras.calibrated_by(topic, &camera).is_some() {
+        if cameras.calibrated_by(topic, &camera).is_some() || cameras.is_unplaced(topic, &camera) {
             return Ok(Vec::new());
         }
         let Some(said) = said(message)? else {
             return Ok(Vec::new());
         };
-        let mount = stereo::mount(
-            &frame,
-            &said.pair_from_camera,
-            cameras.first_of_pair(topic, &frame),
-            cameras.calibrates_rectified(topic),
-        );
+        let first = cameras.first_of_pair(topic, &frame);
+        let pair_from_camera = match first {
+            Some(_) => said.pair_from_camera?,
+            // In its own frame a camera needs neither R nor P, but of rectified images, where both make sense.
+            None => said.pair_from_camera.unwrap_or(Pose::IDENTITY),
+        };
+        let is_rectified = cameras.calibrates_rectified(topic);
+        let mount = stereo::mount(&frame, &pair_from_camera, first, is_rectified);
         let [width, height] = said.size;
         let Lens {
             model,
@@ -119,8 +121,9 @@ pub(super) struct Said {
     /// Width and height of its images, px.
     size: [u32; 2],
     lens: Lens,
-    /// The camera in the axes of its pair.
-    pub(super) pair_from_camera: Pose,
+    /// The camera in the axes of its pair; what is wrong with R or P, in words, where images are not rectified and nobody
+    /// may ask for these.
+    pub(super) pair_from_camera: Result<Pose, String>,
 }
 
 /// What a calibration says; `None` where the camera is not calibrated.
@@ -131,19 +134,20 @@ pub(super) fn said(message: &Message<'_>) -> Result<Option<Said>, String> {
     let fields = &message.fields;
     let whole = ["width", "height"].map(|name| pixels(fields, &[name]));
     let region = region(fields, whole)?;
-    let (lens, pair) = match (message.cameras.calibrates_rectified(message.topic), region) {
+    let is_rectified = message.cameras.calibrates_rectified(message.topic);
+    let (lens, pair_from_camera) = match (is_rectified, region) {
         (true, Some(_)) => {
             return Err(
                 "expected all of the sensor where images are rectified, found a region of interest"
                     .to_owned(),
             );
         }
-        (true, None) => (Some(rectified(fields)?), stereo::pair_from_camera(fields)?),
-        // R and P are of other images: nobody needs them but a camera that stands beside the one whose frame it names.
-        (false, _) => (
-            as_it_sees(fields)?,
-            stereo::pair_from_camera(fields).unwrap_or(Pose::IDENTITY),
+        (true, None) => (
+            Some(rectified(fields)?),
+            Ok(stereo::pair_from_camera(fields)?),
         ),
+        // R and P are of other images: nobody needs them but a camera of a pair that names one frame.
+        (false, _) => (as_it_sees(fields)?, stereo::pair_from_camera(fields)),
     };
     let Some(mut lens) = lens else {
         return Ok(None);
@@ -156,7 +160,7 @@ pub(super) fn said(message: &Message<'_>) -> Result<Option<Said>, String> {
         stamp: message.stamp()?,
         size,
         lens,
-        pair_from_camera: pair,
+        pair_from_camera,
     }))
 }
 

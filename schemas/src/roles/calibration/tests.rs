@@ -7,7 +7,7 @@ use arrow::datatypes::Float64Type;
 use super::*;
 use crate::Stamp;
 use crate::roles::tests::members;
-use crate::roles::{CameraNames, OdometryOf};
+use crate::roles::{CalibratedCamera, CameraNames, OdometryOf};
 
 fn list(numbers: &[f64]) -> ArrayRef {
     let items = numbers.iter().copied().map(Some);
@@ -34,6 +34,18 @@ fn read(
     roi: [u32; 4],
     images: &str,
 ) -> Result<Vec<Calibration>, String> {
+    let cameras = CameraNames::of_images(|_| vec![images]);
+    read_as(&cameras, k, r, p, roi)
+}
+
+/// The same, of a camera beside others.
+fn read_as(
+    cameras: &CameraNames,
+    k: &[f64],
+    r: &[f64],
+    p: &[f64],
+    roi: [u32; 4],
+) -> Result<Vec<Calibration>, String> {
     let names = ["x_offset", "y_offset", "width", "height"];
     let roi = members(names.into_iter().zip(roi.map(number)).collect());
     let members = members(vec![
@@ -53,7 +65,7 @@ fn read(
         fields: Fields::new(&members, 0),
         zero: &OnceCell::new(),
         image: None,
-        cameras: &CameraNames::of_images(|_| vec![images]),
+        cameras,
         bits: None,
         robot: &OdometryOf::default(),
     })
@@ -153,6 +165,50 @@ fn images_that_are_turned_say_where_they_look_and_others_stay_in_their_frame() {
     assert_eq!([x, y, z, qx, qz], [0.0; 5]);
     assert_eq!(found.map(|found| found.frame).as_deref(), Some("front"));
     assert!((qy + half.sin()).abs() < 1e-12 && (qw - half.cos()).abs() < 1e-12);
+}
+
+#[test]
+fn the_second_camera_of_a_pair_needs_r_and_p_in_every_message() {
+    let said = |frame: &str, x: f64| CalibratedCamera {
+        frame: frame.to_owned(),
+        pair_from_camera: Some(Pose {
+            x,
+            ..Pose::IDENTITY
+        }),
+        unplaced: None,
+        is_beside: Some(x != 0.0),
+    };
+    let mut cameras = CameraNames::of_images(|_| vec!["/front/image_raw", "/left/image_raw"]);
+    cameras.add("/front/camera_info", said("front", 0.07));
+    let read = |cameras: &CameraNames, r: &[f64], p: &[f64]| {
+        let rows = read_as(cameras, &K, r, p, [0; 4])?.into_iter();
+        let mounts = rows.map(|row| row.mount.map(|mount| mount.frame_from_camera.x));
+        Ok::<_, String>(mounts.collect::<Vec<_>>())
+    };
+    let mut nowhere = P;
+    nowhere[3] = -1e30;
+    let bad = [(&[1.0; 9], &P), (&[f64::NAN; 9], &P), (&ONE, &nowhere)];
+    // Alone in its frame it needs neither.
+    for (r, p) in bad {
+        assert_eq!(read(&cameras, r, p), Ok(vec![None]));
+    }
+    cameras.add("/left/camera_info", said("front", 0.0));
+    assert_eq!(read(&cameras, &ONE, &P), Ok(vec![Some(0.07)]));
+    for (r, p) in bad {
+        let said = read(&cameras, r, p).err().unwrap_or_default();
+        assert!(
+            said.contains("expected R") || said.contains("expected P"),
+            "{said}"
+        );
+    }
+    // It is counted once, where cameras are named, if its first message does not say how it stands to the other one.
+    let unplaced = CalibratedCamera {
+        pair_from_camera: None,
+        unplaced: Some("expected R".to_owned()),
+        ..said("front", 0.07)
+    };
+    cameras.add("/front/camera_info", unplaced);
+    assert_eq!(read(&cameras, &ONE, &P), Ok(Vec::new()));
 }
 
 #[test]
