@@ -463,6 +463,98 @@ fn a_rectified_camera_whose_r_turns_nothing_is_counted() {
     assert!(found.stderr.contains(said), "{}", found.stderr);
 }
 
+/// A stereo pair that names one frame, with these calibrations and images of these topics' last part.
+fn write_pair(logs: &Logs, name: &str, [left, right]: [&[Value]; 2], kind: &str) -> PathBuf {
+    let [left_images, right_images] = ["left", "right"].map(|of| format!("/stereo/{of}/{kind}"));
+    let info = "sensor_msgs/CameraInfo";
+    logs.write(
+        &format!("{name}.mcap"),
+        &[
+            ("/stereo/right/camera_info", info, right.to_vec()),
+            ("/stereo/left/camera_info", info, left.to_vec()),
+            (left_images.as_str(), IMAGE, vec![image(false)]),
+            (right_images.as_str(), IMAGE, vec![image(false)]),
+        ],
+    )
+}
+
+/// What a pair is told whose second camera is left out.
+const SECOND_LEFT_OUT: &str = "cameras that name the frame of another one on /stereo/right/camera_info: /stereo/right names \
+                               the frame front of /stereo/left, and nobody knows how the two stand to each other";
+
+#[test]
+fn the_second_camera_of_a_pair_is_left_out_and_counted_where_r_or_p_of_either_makes_no_sense() {
+    let logs = Logs::new();
+    let (left, right) = (
+        rectified(about_y(5.0), 0.0),
+        rectified(about_y(-3.0), -12.0),
+    );
+    let no_turn = |tx| rectified([1.0; 9], tx);
+    let cases = [
+        ("left_r", [no_turn(0.0), right.clone()], "left: expected R"),
+        (
+            "right_r",
+            [left.clone(), no_turn(-12.0)],
+            "right: expected R",
+        ),
+        (
+            "right_p",
+            [left.clone(), rectified(about_y(-3.0), -1e30)],
+            "right: expected P",
+        ),
+    ];
+    for (name, [first, second], why) in cases {
+        // Where only the first message is so, as where all are: it says where cameras are mounted.
+        let pair = [&[first, left.clone()][..], &[second, right.clone()]];
+        let log = write_pair(&logs, name, pair, "image_raw");
+        let told = |finished: Finished| {
+            let finished = finished.expect(3);
+            for said in [
+                SECOND_LEFT_OUT,
+                why,
+                "finished with loss: 1 skipped or lost",
+            ] {
+                assert!(finished.stderr.contains(said), "{}", finished.stderr);
+            }
+            finished.json()
+        };
+        let of_left = json!([{"topic": "/stereo/left/image_raw", "camera": "front", "format": "mono16", "n": 1}]);
+        assert_eq!(told(query(&log, &[], TOPICS)), of_left);
+        let whole = lens([160, 120], 128.0, [79.5, 59.5], -0.1);
+        assert_eq!(told(query(&log, &[], LENSES)), json!([whole]));
+    }
+    let pair = [&[left][..], &[right]];
+    let sound = write_pair(&logs, "sound", pair, "image_raw");
+    let mounts = query(&sound, &[], MOUNTS).expect(0).json();
+    assert_eq!(mounts[1]["camera"], json!("stereo/right"), "{mounts}");
+    assert_eq!(mounts[1]["x"], json!(0.119543), "{mounts}");
+}
+
+#[test]
+fn the_second_camera_of_a_pair_does_not_take_the_place_of_a_first_one_whose_calibration_is_refused()
+{
+    let logs = Logs::new();
+    let (left, right) = (rectified([1.0; 9], 0.0), rectified(about_y(-3.0), -12.0));
+    let pair = [&[left][..], &[right]];
+    let log = write_pair(&logs, "refused", pair, "image_rect");
+    let told = |finished: Finished| {
+        let finished = finished.expect(3);
+        for said in [
+            SECOND_LEFT_OUT,
+            "expected R to be a rotation",
+            "finished with loss: 2 skipped or lost",
+        ] {
+            assert!(finished.stderr.contains(said), "{}", finished.stderr);
+        }
+        finished.json()
+    };
+    assert_eq!(told(query(&log, &[], LENSES)), json!([]));
+    let of_left = json!([
+        {"topic": "/stereo/left/image_rect", "camera": "stereo/left", "format": "mono16", "n": 1},
+    ]);
+    assert_eq!(told(query(&log, &[], TOPICS)), of_left);
+}
+
 /// A plan that reads cameras.
 fn write_plan(logs: &Logs) -> PathBuf {
     let plan = logs.path("cameras.yaml");

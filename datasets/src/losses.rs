@@ -52,8 +52,8 @@ pub enum Reason {
     /// Entries of a metadata record that plays a role and whose values make no sense, such as a class of a pixel value that
     /// there is not.
     BadEntry,
-    /// A camera whose messages name the frame of another one with pictures: neither its images nor its calibrations are
-    /// read.
+    /// A camera whose messages name the frame of another one with pictures, and do not say where it stands beside that one:
+    /// neither its images nor its calibrations are read.
     SameCamera,
 }
 

@@ -4,8 +4,11 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use evermap_schemas::roles::{CAMERAS, CalibratedCamera, CameraNames, Role, calibration};
-use evermap_schemas::{Fault, rows};
+use evermap_schemas::roles::{
+    CAMERA_FRAMES, CAMERAS, CalibratedCamera, CalibratedFrame, CameraNames, Messages, Role,
+    calibration,
+};
+use evermap_schemas::{Fault, LayerRow, rows};
 use futures::TryStreamExt;
 
 use crate::fault::OrFault;
@@ -35,7 +38,7 @@ pub(super) fn images(sessions: &[Session]) -> Cameras {
 }
 
 /// Reads the names of all sessions, whose images are known. Cameras that are not read, as they have the frame of another
-/// one, are counted once a session.
+/// one, or stand nobody knows where beside it, are counted once a session.
 pub(super) async fn read(
     topics: &Topics,
     parts: &[Arc<LogPart>],
@@ -45,25 +48,33 @@ pub(super) async fn read(
     for part in parts {
         for topic in topics.get(&part.session).into_iter().flatten() {
             let names = cameras.entry(part.session.clone()).or_default();
-            if !names.knows(topic)
-                && let Some(first) = first(part, topic, names).await?
-            {
-                names.add(topic, first);
+            if !names.knows(topic) {
+                name(part, topic, names).await?;
             }
         }
     }
-    count_doubled(topics, parts, &cameras);
+    count_left_out(topics, parts, &cameras);
     Ok(cameras)
 }
 
-/// Counts the calibration topics whose camera is another one's, in the first file of each session.
-fn count_doubled(topics: &Topics, parts: &[Arc<LogPart>], cameras: &Cameras) {
+/// Names the camera of a topic by its first calibration in a file; where none is read, its frame is noted.
+async fn name(part: &Arc<LogPart>, topic: &str, names: &mut CameraNames) -> Result<(), Fault> {
+    if let Some(camera) = first::<CalibratedCamera>(CAMERAS, part, topic, names).await? {
+        names.add(topic, camera);
+    } else if let Some(named) = first::<CalibratedFrame>(CAMERA_FRAMES, part, topic, names).await? {
+        names.add_unread(topic, named.frame);
+    }
+    Ok(())
+}
+
+/// Counts the calibration topics whose camera is not read, in the first file of each session.
+fn count_left_out(topics: &Topics, parts: &[Arc<LogPart>], cameras: &Cameras) {
     for (session, names) in cameras {
         let Some(part) = parts.iter().find(|part| part.session == *session) else {
             continue;
         };
         for topic in topics.get(session).into_iter().flatten() {
-            if let Some(detail) = names.doubled(topic) {
+            if let Some(detail) = names.left_out(topic) {
                 let (loss, losses) = (Loss::one(0), &part.losses);
                 losses.note_topic(Reason::SameCamera, topic, 0, loss, detail);
             }
@@ -71,19 +82,20 @@ fn count_doubled(topics: &Topics, parts: &[Arc<LogPart>], cameras: &Cameras) {
     }
 }
 
-/// The camera of a topic's first calibration in a file.
-async fn first(
+/// The first row of a topic's calibrations in a file.
+async fn first<T: LayerRow>(
+    messages: Messages,
     part: &Arc<LogPart>,
     topic: &str,
     cameras: &CameraNames,
-) -> Result<Option<CalibratedCamera>, Fault> {
+) -> Result<Option<T>, Fault> {
     let known = Known {
         cameras: cameras.clone(),
         ..Known::default()
     };
-    let mut batches = batches::<CalibratedCamera>(CAMERAS, part, topic, known, 1)?;
+    let mut batches = batches::<T>(messages, part, topic, known, 1)?;
     match batches.try_next().await.or_fault()? {
-        Some(batch) => Ok(rows::<CalibratedCamera>(&batch)?.into_iter().next()),
+        Some(batch) => Ok(rows::<T>(&batch)?.into_iter().next()),
         None => Ok(None),
     }
 }

@@ -13,6 +13,8 @@ use crate::roles::{Role, depth_frames, frames, label_frames};
 pub struct CameraNames {
     /// Camera by the prefix of its calibration's topic.
     by_prefix: BTreeMap<String, Named>,
+    /// The frames that calibrations name of which none is read, by the prefix of their topic.
+    unread: BTreeMap<String, String>,
     /// The prefixes of which rectified images alone are read.
     rectified: BTreeSet<String>,
     /// The prefixes of which pictures are read.
@@ -24,15 +26,43 @@ pub struct CameraNames {
 struct Named {
     camera: String,
     said: CalibratedCamera,
-    /// The first camera of its pair in the pair's axes, where it names that one's frame.
-    first: Option<Pose>,
+    /// The first camera of its pair in the pair's axes, where it names that one's frame; in words, why nobody knows how the
+    /// two stand to each other.
+    first: Option<Result<Pose, String>>,
 }
 
-impl Named {
-    /// Whether it stands beside the first camera of a pair.
-    fn is_beside(&self) -> bool {
-        let Pose { x, y, .. } = self.said.pair_from_camera;
-        [x, y] != [0.0; 2]
+/// The first camera of those that name one frame.
+struct First {
+    prefix: String,
+    /// The camera in the axes of its pair, or what is wrong with its calibration.
+    pair_from_camera: Result<Pose, String>,
+}
+
+impl First {
+    fn of((prefix, Named { said, .. }): (&String, &Named)) -> Self {
+        let why = said.unplaced.clone().unwrap_or_default();
+        Self {
+            prefix: prefix.clone(),
+            pair_from_camera: said.pair_from_camera.clone().ok_or(why),
+        }
+    }
+
+    /// This camera in the axes of the pair, for a second one of it that its own calibration places, too.
+    fn seen_by(&self, prefix: &str, said: &CalibratedCamera) -> Result<Pose, String> {
+        let first = &self.prefix;
+        let lost = |of: &str, why: &str| {
+            format!(
+                "/{prefix} names the frame {} of /{first}, and nobody knows how the two stand to each other, so its images \
+                 are left out: calibration of /{of}: {why}; correct it, let /{prefix} name a frame of its own, or choose \
+                 with `roles: frames` in a session manifest",
+                said.frame
+            )
+        };
+        match (&self.pair_from_camera, &said.unplaced) {
+            (Err(why), _) => Err(lost(first, why)),
+            (Ok(_), Some(why)) => Err(lost(prefix, why)),
+            (Ok(pose), None) => Ok(pose.clone()),
+        }
     }
 }
 
@@ -54,6 +84,7 @@ impl CameraNames {
         let pictures = topics(&frames::ROLE).into_iter();
         Self {
             by_prefix: BTreeMap::new(),
+            unread: BTreeMap::new(),
             rectified: rectified.map(|(prefix, _)| prefix).collect(),
             pictured: pictures.map(topic_camera).collect(),
         }
@@ -92,37 +123,72 @@ impl CameraNames {
             said,
             first: None,
         };
-        self.by_prefix.insert(topic_camera(topic), named);
+        let prefix = topic_camera(topic);
+        let before = self.unread.remove(&prefix);
+        self.by_prefix.insert(prefix, named);
         self.pair(&frame);
+        if let Some(before) = before {
+            self.pair(&before);
+        }
     }
 
-    /// Tells the cameras apart that name this frame. Range images that are aligned to a camera have its place, and often a P
-    /// that does not say so: they are not the first of a pair.
-    fn pair(&mut self, frame: &str) {
-        let pictured = &self.pictured;
-        let of_frame = self.by_prefix.iter();
-        let of_frame = of_frame.filter(|(_, named)| named.said.frame == frame);
-        let firsts = of_frame.filter(|(prefix, named)| {
-            let is_picture = content_of(prefix) == Content::Picture;
-            !named.is_beside() && (is_picture || pictured.contains(*prefix))
-        });
-        let first = firsts.min_by_key(|(prefix, _)| !pictured.contains(*prefix));
-        let first = first.map(|(_, named)| named.said.pair_from_camera.clone());
-        for (prefix, named) in &mut self.by_prefix {
-            if named.said.frame == frame {
-                let is_second = named.is_beside() && pictured.contains(prefix);
-                named.first = first.clone().filter(|_| is_second);
-                named.camera = match named.first {
-                    Some(_) => prefix.clone(),
-                    None => frame.to_owned(),
-                };
-            }
+    /// Notes the frame that a calibration topic names of which no calibration is read, as it makes no sense or has no lens:
+    /// the camera may be the first of a pair.
+    pub fn add_unread(&mut self, topic: &str, frame: String) {
+        let prefix = topic_camera(topic);
+        if !self.by_prefix.contains_key(&prefix) {
+            self.unread.insert(prefix, frame.clone());
+            self.pair(&frame);
         }
+    }
+
+    /// Tells the cameras apart that name this frame.
+    fn pair(&mut self, frame: &str) {
+        let first = self.first(frame);
+        let pictured = &self.pictured;
+        let of_frame = self.by_prefix.iter_mut();
+        for (prefix, named) in of_frame.filter(|(_, named)| named.said.frame == frame) {
+            let may_be_second = named.said.is_beside != Some(false) && pictured.contains(prefix);
+            let first = first.as_ref();
+            let first = first.filter(|first| may_be_second && first.prefix != *prefix);
+            named.first = first.map(|first| first.seen_by(prefix, &named.said));
+            named.camera = match named.first {
+                Some(_) => prefix.clone(),
+                None => frame.to_owned(),
+            };
+        }
+    }
+
+    /// The first camera of those that name this frame: one whose P has it stand beside no other; else one with pictures of
+    /// which nobody knows. Range images that are aligned to a camera have its place, and often a P that does not say so: they
+    /// are not the first of a pair.
+    fn first(&self, frame: &str) -> Option<First> {
+        let is_pictured = |prefix: &String| self.pictured.contains(prefix);
+        let of_frame = || {
+            let named = self.by_prefix.iter();
+            named.filter(move |(_, named)| named.said.frame == frame)
+        };
+        let firsts = of_frame().filter(|(prefix, named)| {
+            let is_picture = content_of(prefix) == Content::Picture;
+            named.said.is_beside == Some(false) && (is_picture || is_pictured(prefix))
+        });
+        let first = firsts.min_by_key(|(prefix, _)| !is_pictured(prefix));
+        let mut unread = self.unread.iter();
+        let unread = unread.find(|(prefix, named)| *named == frame && is_pictured(prefix));
+        let unread = unread.map(|(prefix, _)| First {
+            prefix: prefix.clone(),
+            pair_from_camera: Err("expected one with a lens, found none that is read".to_owned()),
+        });
+        let is_unknown = |(prefix, named): &(&String, &Named)| {
+            named.said.is_beside.is_none() && is_pictured(prefix)
+        };
+        let unknown = || of_frame().find(is_unknown).map(First::of);
+        first.map(First::of).or(unread).or_else(unknown)
     }
 
     /// The camera of a calibration of this topic that names a frame.
     pub(super) fn calibrated(&self, topic: &str, frame: &str) -> String {
-        match self.first_of_pair(topic, frame) {
+        match self.pair_of(topic, frame) {
             Some(_) => topic_camera(topic),
             None => frame.to_owned(),
         }
@@ -131,8 +197,20 @@ impl CameraNames {
     /// The first camera of a pair, in the pair's axes, where the calibrations of this topic are of another one of the pair
     /// that names its frame.
     pub(super) fn first_of_pair(&self, topic: &str, frame: &str) -> Option<&Pose> {
+        self.pair_of(topic, frame)?.as_ref().ok()
+    }
+
+    /// The same, or why nobody knows how the two stand to each other.
+    fn pair_of(&self, topic: &str, frame: &str) -> Option<&Result<Pose, String>> {
         let named = self.by_prefix.get(&topic_camera(topic))?;
         named.first.as_ref().filter(|_| named.said.frame == frame)
+    }
+
+    /// Whether this topic's prefix is of this camera, and nobody knows how it stands to the first one of its pair: neither
+    /// its images nor its calibrations are read.
+    pub(super) fn is_unplaced(&self, topic: &str, camera: &str) -> bool {
+        let named = self.by_prefix.get(&topic_camera(topic));
+        named.is_some_and(|named| named.camera == camera && matches!(named.first, Some(Err(_))))
     }
 
     /// Where cameras are mounted by their first calibrations, by name; those that are not at the frame of their name.
@@ -142,8 +220,11 @@ impl CameraNames {
                 return None;
             }
             let (said, first) = (&named.said, named.first.as_ref());
+            let first = first.map(Result::as_ref).transpose().ok()?;
             let is_rectified = self.rectified.contains(prefix);
-            let mount = stereo::mount(&said.frame, &said.pair_from_camera, first, is_rectified)?;
+            // Without a pose it is one that stands in its own frame, whose images are not rectified.
+            let camera = said.pair_from_camera.as_ref()?;
+            let mount = stereo::mount(&said.frame, camera, first, is_rectified)?;
             Some((named.camera.clone(), mount))
         };
         self.by_prefix.iter().filter_map(mount).collect()
@@ -172,9 +253,12 @@ impl CameraNames {
     }
 
     /// What is wrong with a calibration topic whose pictures are not read, as another one with pictures is of the same
-    /// camera, in words; `None` where they are.
-    pub fn doubled(&self, topic: &str) -> Option<String> {
-        let Named { camera, .. } = self.by_prefix.get(&topic_camera(topic))?;
+    /// camera, or nobody knows how it stands to the first one of its pair, in words; `None` where they are.
+    pub fn left_out(&self, topic: &str) -> Option<String> {
+        let Named { camera, first, .. } = self.by_prefix.get(&topic_camera(topic))?;
+        if let Some(Err(why)) = first {
+            return Some(why.clone());
+        }
         let first = self.pictured_by(topic, camera)?;
         Some(both_of(first, topic, camera))
     }
@@ -249,179 +333,4 @@ pub(super) fn is_rectified(topic: &str) -> bool {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-
-    /// A camera of this frame that stands so far beside the first of its pair, m.
-    fn beside(frame: &str, x: f64) -> CalibratedCamera {
-        CalibratedCamera {
-            frame: frame.to_owned(),
-            pair_from_camera: Pose {
-                x,
-                ..Pose::IDENTITY
-            },
-        }
-    }
-
-    #[test]
-    fn a_camera_is_named_by_its_calibration_or_by_its_topic() {
-        let mut names = CameraNames::default();
-        names.add("/front/camera_info", beside("front_optical", 0.0));
-        assert!(names.knows("/front/calibration") && !names.knows("/left/camera_info"));
-        assert_eq!(
-            names.name("/front/image_raw", "front_optical"),
-            "front_optical"
-        );
-        assert_eq!(
-            names.name("/front/image_raw/compressed", ""),
-            "front_optical"
-        );
-        assert_eq!(names.name("/left/image_raw", "left_optical"), "left");
-        assert_eq!(names.name("/image", ""), "image");
-        assert_eq!(names.name("/left/image_rect_mono/ffmpeg", ""), "left");
-        assert_eq!(names.name("/front_rect/image", ""), "front_rect");
-    }
-
-    #[test]
-    fn a_topic_says_that_its_images_are_rectified_by_a_word_of_its_own() {
-        for topic in [
-            "/l/image_rect",
-            "/l/image_rect_color/compressed",
-            "/rect/l",
-            "/l/Image_Rectified",
-        ] {
-            assert!(is_rectified(topic), "{topic}");
-        }
-        for topic in ["/l/image_raw", "/direct/image", "/l/rectangles"] {
-            assert!(!is_rectified(topic), "{topic}");
-        }
-    }
-
-    #[test]
-    fn calibrations_are_of_the_images_that_are_read_and_pictures_decide() {
-        let topics = |role: &Role| match role.name {
-            "frames" => vec!["/left/image_rect", "/right/image_raw", "/right/image_rect"],
-            "depth_frames" => vec![
-                "/left/depth/image",
-                "/range/image_rect_raw",
-                "/right/depth/image_rect",
-            ],
-            _ => Vec::new(),
-        };
-        let mut names = CameraNames::of_images(topics);
-        let expected = [
-            ("left", true),
-            ("right", false),
-            ("range", true),
-            ("rear", false),
-        ];
-        for (camera, rectified) in expected {
-            let topic = format!("/{camera}/camera_info");
-            assert_eq!(names.calibrates_rectified(&topic), rectified, "{camera}");
-            assert_eq!(names.is_rectified(camera), None);
-            names.add(&topic, beside(camera, 0.0));
-            assert_eq!(names.is_rectified(camera), Some(rectified));
-        }
-        names.add("/rear/camera_info", beside("left", 0.0));
-        assert_eq!(names.is_rectified("left"), None);
-    }
-
-    #[test]
-    fn of_two_prefixes_with_pictures_under_one_name_the_first_is_read() {
-        let topics = |role: &Role| match role.name {
-            "frames" => vec![
-                "/left/image_raw",
-                "/left/image/compressed",
-                "/right/image_raw",
-            ],
-            "depth_frames" => vec!["/aligned/image_raw", "/right/depth"],
-            _ => Vec::new(),
-        };
-        let mut names = CameraNames::of_images(topics);
-        for prefix in ["right", "aligned", "left"] {
-            let topic = format!("/{prefix}/camera_info");
-            names.add(&topic, beside("optical", 0.0));
-        }
-        for (topic, instead) in [
-            ("/left/image_raw", None),
-            ("/left/image_rect_color/compressed", None),
-            ("/left/depth", None),
-            ("/right/image_raw", Some("left")),
-            ("/right/depth", Some("left")),
-            ("/aligned/image_raw", None),
-        ] {
-            assert_eq!(names.pictured_by(topic, "optical"), instead, "{topic}");
-            assert_eq!(names.pictured_by(topic, "other"), None);
-        }
-        // The lens of a camera is that of its pictures.
-        let info = |prefix: &str| format!("/{prefix}/camera_info");
-        let calibrated = |prefix| names.calibrated_by(&info(prefix), "optical");
-        assert_eq!(calibrated("left"), None);
-        assert_eq!(calibrated("right"), Some("left"));
-        assert_eq!(calibrated("aligned"), Some("left"));
-        let said = "/left and /right are both of frame optical: only the first is read; choose with `roles: frames` in \
-                    a session manifest";
-        assert_eq!(names.doubled(&info("right")).as_deref(), Some(said));
-        assert_eq!(names.doubled(&info("left")), None);
-        assert_eq!(names.doubled(&info("aligned")), None);
-    }
-
-    #[test]
-    fn cameras_of_a_pair_that_name_one_frame_are_two() {
-        let topics = |role: &Role| match role.name {
-            "frames" => vec!["/left/image_rect", "/right/image_rect", "/third/image_rect"],
-            _ => Vec::new(),
-        };
-        let of = |calibrated: [(&str, f64); 3]| {
-            let mut names = CameraNames::of_images(topics);
-            for (prefix, x) in calibrated {
-                names.add(&format!("/{prefix}/camera_info"), beside("optical", x));
-            }
-            names
-        };
-        // In whatever order their calibrations are known.
-        for calibrated in [
-            [("left", 0.0), ("right", 0.1), ("projector", 0.05)],
-            [("projector", 0.05), ("right", 0.1), ("left", 0.0)],
-        ] {
-            let names = of(calibrated);
-            assert_eq!(names.name("/left/image_rect", "optical"), "optical");
-            for frame in ["optical", "", "of_images_alone"] {
-                assert_eq!(names.name("/right/image_rect", frame), "right");
-            }
-            // Range images that are aligned to the first one.
-            assert_eq!(names.name("/aligned/depth", "optical"), "optical");
-            let info = |prefix: &str| format!("/{prefix}/camera_info");
-            assert_eq!(names.calibrated(&info("right"), "optical"), "right");
-            assert_eq!(names.calibrated(&info("right"), "another"), "another");
-            for (prefix, camera, instead) in [
-                ("left", "optical", None),
-                ("right", "right", None),
-                ("projector", "optical", Some("left")),
-            ] {
-                assert_eq!(names.calibrated_by(&info(prefix), camera), instead);
-                assert_eq!(names.doubled(&info(prefix)), None);
-            }
-            let mounts = names.mounts().into_iter();
-            let mounts = mounts.map(|(camera, mount)| {
-                let [x, y, z, ..] = mount.frame_from_camera.to_array();
-                (camera, mount.frame, [x, y, z])
-            });
-            let right = ("right".to_owned(), "optical".to_owned(), [0.1, 0.0, 0.0]);
-            assert_eq!(mounts.collect::<Vec<_>>(), [right]);
-        }
-        // Range images that are aligned to the second one, which names its own frame.
-        let aligned = of([("right", 0.1), ("aligned_depth", 0.0), ("third", 0.2)]);
-        assert_eq!(aligned.name("/right/image_rect", "optical"), "optical");
-        // Of two that stand beside one of which nothing is known, or at one place, the first is read.
-        for x in [0.0, 0.1] {
-            let names = of([("left", x), ("right", x), ("third", x)]);
-            assert_eq!(names.name("/right/image_rect", "optical"), "optical");
-            let said = names.doubled("/right/camera_info").unwrap_or_default();
-            assert!(
-                said.contains("/left and /right are both of frame optical"),
-                "{said}"
-            );
-        }
-    }
-}
+mod tests;

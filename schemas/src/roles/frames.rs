@@ -129,12 +129,16 @@ pub(super) fn before_rectified(topics: &[Topic]) -> Vec<Choice> {
     choices
 }
 
-/// Whether a topic's images are those that are read of a camera, and not of another one that names the same frame.
+/// Whether a topic's images are those that are read of a camera, and not of another one that names the same frame, or
+/// stands nobody knows where.
 ///
 /// # Errors
 /// In words, where they are not and no calibration has told so, as then nobody has counted it.
 fn is_first(message: &Message<'_>, camera: &str) -> Result<bool, String> {
     let (cameras, topic) = (message.cameras, message.topic);
+    if cameras.is_unplaced(topic, camera) {
+        return Ok(false);
+    }
     match cameras.pictured_by(topic, camera) {
         None => Ok(true),
         Some(_) if cameras.is_calibrated_as(topic, camera) => Ok(false),

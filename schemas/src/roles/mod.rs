@@ -26,7 +26,7 @@ pub use mounts::Mount;
 pub use raw_format::{BIG_ENDIAN, RawFormat, SampleBits};
 pub use role::{Choice, Messages, Metadata, Role, Source, Topic, UNTYPED, every, in_words};
 pub use stamps::ZeroStamp;
-pub use stereo::{CAMERAS, CalibratedCamera, CameraMount};
+pub use stereo::{CAMERA_FRAMES, CAMERAS, CalibratedCamera, CalibratedFrame, CameraMount};
 
 macro_rules! roles {
     ($($file:ident),+ $(,)?) => {

@@ -26,24 +26,57 @@ record! {
     pub struct CalibratedCamera {
         /// The optical frame; the topic without its last parts where the message names none.
         frame: String,
-        /// The camera in the axes of the pair's rectified images, with the pair's first camera in their origin.
-        pair_from_camera: Pose,
+        /// The camera in the axes of the pair's rectified images, with the pair's first camera in their origin; null where R
+        /// or P makes no sense.
+        pair_from_camera: Option<Pose>,
+        /// What is wrong with R or P; null where both make sense.
+        unplaced: Option<String>,
+        /// Whether P has it stand beside the first camera of the pair; null where P makes no sense.
+        is_beside: Option<bool>,
+    }
+}
+
+record! {
+    /// The frame that a calibration names, whatever else it says.
+    #[layer("calibrated_frames", key(frame))]
+    pub struct CalibratedFrame {
+        /// The optical frame; the topic without its last parts where the message names none.
+        frame: String,
     }
 }
 
 /// How messages with calibrations become [`CalibratedCamera`]s.
 pub const CAMERAS: Messages = Messages::of::<CalibratedCamera>(TYPES);
 
+/// How messages with calibrations become [`CalibratedFrame`]s.
+pub const CAMERA_FRAMES: Messages = Messages::of::<CalibratedFrame>(TYPES);
+
 impl FromMessage for CalibratedCamera {
     const MEMBERS: &'static [&'static str] = Calibration::MEMBERS;
 
     fn from_message(message: &Message<'_>) -> Result<Vec<Self>, String> {
-        let said = calibration::said(message)?;
-        let camera = said.map(|said| Self {
+        let Some(said) = calibration::said(message)? else {
+            return Ok(Vec::new());
+        };
+        let (pair_from_camera, unplaced) = match said.pair_from_camera {
+            Ok(pose) => (Some(pose), None),
+            Err(why) => (None, Some(why)),
+        };
+        Ok(vec![Self {
             frame: calibration::frame(message),
-            pair_from_camera: said.pair_from_camera,
-        });
-        Ok(camera.into_iter().collect())
+            pair_from_camera,
+            unplaced,
+            is_beside: is_beside(&message.fields.numbers(&["p", "P"])),
+        }])
+    }
+}
+
+impl FromMessage for CalibratedFrame {
+    const MEMBERS: &'static [&'static str] = &["header", "frame_id"];
+
+    fn from_message(message: &Message<'_>) -> Result<Vec<Self>, String> {
+        let frame = calibration::frame(message);
+        Ok(vec![Self { frame }])
     }
 }
 
@@ -176,6 +209,12 @@ fn beside(p: &[f64]) -> Result<[f64; 2], String> {
         true => 0.0,
         false => away,
     }))
+}
+
+/// Whether the camera of P stands beside the first one of its pair; `None` where P makes no sense.
+fn is_beside(p: &[f64]) -> Option<bool> {
+    let away = beside(p).ok()?;
+    Some(away != [0.0; 2])
 }
 
 /// The quaternion that turns nothing.
@@ -324,12 +363,17 @@ mod tests {
     fn p_says_where_a_camera_is_or_is_refused() {
         for straight in [&p(0.0, 0.0)[..], &p(1e-9, -0.0), &[], &[0.0; 12]] {
             assert_eq!(beside(straight), Ok([0.0; 2]));
+            assert_eq!(is_beside(straight), Some(false));
+        }
+        for away in [p(-24.0, 0.0), p(0.0, 5.0)] {
+            assert_eq!(is_beside(&away), Some(true));
         }
         let mut without_focus = p(-24.0, 0.0);
         without_focus[0] = 0.0;
         for p in [without_focus, p(f64::NAN, 0.0), p(-1e300, 0.0)] {
             let said = beside(&p).err().unwrap_or_default();
             assert!(said.contains("expected P to say where"), "{said}");
+            assert_eq!(is_beside(&p), None);
         }
     }
 }

@@ -11,7 +11,9 @@ use crate::roles::{BIG_ENDIAN, CalibratedCamera, CameraNames, Fields, FoundImage
 fn camera(frame: &str) -> CalibratedCamera {
     CalibratedCamera {
         frame: frame.to_owned(),
-        pair_from_camera: Pose::IDENTITY,
+        pair_from_camera: Some(Pose::IDENTITY),
+        unplaced: None,
+        is_beside: Some(false),
     }
 }
 
@@ -149,6 +151,32 @@ fn images_that_their_calibration_is_not_read_for_are_refused() {
         for (names, is_read) in [(&raw, of_raw), (&rect, of_rect)] {
             assert_eq!(read(topic, names).is_ok(), is_read, "{topic}");
         }
+    }
+}
+
+#[test]
+fn images_of_a_second_camera_are_not_read_where_nobody_knows_how_it_stands_to_the_first() {
+    let mut names = CameraNames::of_images(|_| vec!["/left/image", "/right/image"]);
+    let second = CalibratedCamera {
+        is_beside: Some(true),
+        ..camera("optical")
+    };
+    names.add("/right/camera_info", second);
+    assert_eq!(
+        read("/right/image", "mono8", 0, &names),
+        Ok("mono8".to_owned())
+    );
+    names.add_unread("/left/camera_info", "optical".to_owned());
+    for (topic, format) in [
+        ("/left/image", "mono8"),
+        ("/right/image", ""),
+        ("/right/labels", ""),
+    ] {
+        assert_eq!(
+            read(topic, "mono8", 0, &names),
+            Ok(format.to_owned()),
+            "{topic}"
+        );
     }
 }
 
