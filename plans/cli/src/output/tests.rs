@@ -228,3 +228,21 @@ async fn a_disk_that_is_full_is_told_so_in_every_format() {
         assert!(fault.message.starts_with(said), "{format:?}: {fault}");
     }
 }
+
+#[tokio::test]
+async fn a_folder_of_temporary_files_that_is_gone_is_named_in_every_format() {
+    for format in FORMATS {
+        let sink = Sink::spooled_in("/no/such/folder".into(), 0);
+        let fault = refused(format, sink).await;
+        assert_eq!(fault.kind, Kind::Resource, "{format:?}: {fault}");
+        let said = "cannot write a temporary file in /no/such/folder: ";
+        assert!(fault.message.starts_with(said), "{format:?}: {fault}");
+        assert!(fault.next.contains("TMPDIR"), "{format:?}: {fault}");
+    }
+    let mut sink = Sink::spooled_in("/no/such/folder".into(), 0);
+    std::io::Write::write_all(&mut sink, b"little").unwrap();
+    let Err(Failure::Fault(fault)) = sink.rewound() else {
+        unreachable!("it was written")
+    };
+    assert!(fault.next.contains("/no/such/folder"), "{fault}");
+}
