@@ -6,6 +6,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, SystemTime};
 
+use evermap_tests::server::script;
 use evermap_tests::{
     Finished, command, command_that_hangs_up, evermap, program, rectangle, repository, text,
     until_rested, write_drive, write_drive_with,
@@ -397,6 +398,18 @@ fn a_hangup_stops_a_run_as_a_person_does_unless_it_is_ignored() {
     let run = begun(ignoring, folder.path(), &map);
     hang_up(&run);
     Finished::from(run.wait_with_output().unwrap()).expect(0);
+}
+
+#[test]
+fn a_prompt_that_is_hung_up_or_terminated_leaves_nothing() {
+    let Some(mut prompt) = script("prompt.py", &[]) else {
+        return;
+    };
+    let folder = tempfile::tempdir().unwrap();
+    let log = folder.path().join("a.mcap");
+    write_drive(&log, rectangle(20.0, 10.0, 1.0));
+    prompt.arg(program()).arg(log);
+    Finished::from(prompt.output().unwrap()).expect(0);
 }
 
 /// Units that are done.

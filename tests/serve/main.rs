@@ -354,6 +354,32 @@ fn got(server: &Server, address: &str) -> String {
     answer
 }
 
+/// It is the server's disk that has no room, and nothing that the client asked.
+#[test]
+fn a_folder_of_temporary_files_that_is_gone_is_named_and_no_fault_of_who_asks() {
+    let folder = tempfile::tempdir().unwrap();
+    let map = map(folder.path());
+    let temporary = folder.path().join("temporary");
+    std::fs::create_dir(&temporary).unwrap();
+    let server = Server::start_in(&temporary, &map, &[]);
+    std::fs::remove_dir_all(&temporary).unwrap();
+    let query = "SELECT%20sin(value)%20AS%20x%20FROM%20generate_series(1,100000)";
+    let answered = |format: &str| got(&server, &format!("/sql?format={format}&query={query}"));
+    for format in ["json", "csv", "parquet"] {
+        let answer = answered(format);
+        assert!(answer.starts_with("HTTP/1.1 503 "), "{format}: {answer}");
+        for said in [
+            text(&temporary),
+            "cannot write a temporary file",
+            "set TMPDIR",
+        ] {
+            assert!(answer.contains(said), "{format}: {answer}");
+        }
+    }
+    std::fs::create_dir(&temporary).unwrap();
+    assert!(answered("csv").starts_with("HTTP/1.1 200 "));
+}
+
 /// Waits until its threads rest, for a minute at most.
 fn rests(server: &Server) -> bool {
     let pause = std::time::Duration::from_secs(1);

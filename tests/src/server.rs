@@ -22,7 +22,13 @@ pub struct Server {
 impl Server {
     /// Starts it on ports that are free.
     pub fn start(map: &Path, more: &[&str]) -> Self {
+        Self::start_in(&std::env::temp_dir(), map, more)
+    }
+
+    /// As [`Server::start`], with its temporary files in a folder.
+    pub fn start_in(temporary: &Path, map: &Path, more: &[&str]) -> Self {
         let mut serve = command(&["serve", "--map", text(map)]);
+        serve.env("TMPDIR", temporary);
         serve.args(["--http", "127.0.0.1:0", "--postgres", "127.0.0.1:0"]);
         let started = serve.args(more).stderr(Stdio::piped()).spawn();
         let mut program = started.unwrap();

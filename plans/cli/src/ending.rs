@@ -59,7 +59,10 @@ impl From<std::io::Error> for Failure {
         if error.kind() == std::io::ErrorKind::BrokenPipe {
             return Self::Closed;
         }
-        Self::Fault(Fault::resource(format!("cannot write the result: {error}")))
+        Self::Fault(match error.downcast::<Fault>() {
+            Ok(fault) => fault,
+            Err(error) => Fault::resource(format!("cannot write the result: {error}")),
+        })
     }
 }
 

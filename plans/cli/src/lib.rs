@@ -65,7 +65,7 @@ use tokio::runtime::Runtime;
 use crate::arguments::{Arguments, Command};
 use crate::commands::sql::is_prompt;
 use crate::ending::{DONE, Ending, panicked, tell};
-use crate::stopped::stopped;
+use crate::stopped::{stopped, terminated};
 
 /// Reads the command line, does what it says, and tells how it ended.
 pub fn main() -> std::process::ExitCode {
@@ -110,6 +110,12 @@ pub async fn command(line: impl IntoIterator<Item = OsString>) -> Ending {
 async fn until_interrupted(command: Command, runtime: &Runtime) -> Ending {
     let command = Arc::new(command);
     let own_interrupts = matches!(&*command, Command::Sql(args) if is_prompt(args));
+    let asked_to_stop = async {
+        match own_interrupts {
+            true => terminated().await,
+            false => stopped().await,
+        }
+    };
     let (unfinished, mut all_finished) = tokio::sync::mpsc::channel::<Infallible>(1);
     let term = Term::default();
     let mut work = runtime.spawn(term.of({
@@ -119,12 +125,12 @@ async fn until_interrupted(command: Command, runtime: &Runtime) -> Ending {
     tokio::select! {
         // A library may hear the same signal and end the work: it was stopped, and has not ended by itself.
         biased;
-        () = stopped(), if !own_interrupts => {
+        () = asked_to_stop => {
             term.end();
             work.abort();
             // Temporary files go when the work is dropped; a kernel that is busy is not waited for.
             let ended = tokio::time::timeout(Duration::from_secs(1), work).await;
-            // A run on a cluster cancels its jobs.
+            // A run on a cluster cancels its jobs, and a query of a prompt lets its temporary files go.
             if ended.is_ok() {
                 let _ = tokio::time::timeout(Duration::from_secs(5), all_finished.recv()).await;
             }

@@ -9,19 +9,22 @@ use arrow::datatypes::SchemaRef;
 use datafusion::common::TableReference;
 use datafusion::common::utils::quote_identifier;
 use evermap_engine::error::OrFault;
+use evermap_engine::run::runner::Unfinished;
 use evermap_engine::sql::Term;
 use evermap_schemas::{Fault, record};
 use reedline::{
     FileBackedHistory, Prompt, PromptEditMode, PromptHistorySearch, Reedline, Signal,
     ValidationResult, Validator,
 };
-use tokio::task::block_in_place;
+use rustix::termios::{OptionalActions, Termios, tcgetattr, tcsetattr};
+use tokio::task::{JoinError, block_in_place, spawn_blocking};
 
 use crate::commands::sql::{Tables, statements};
 use crate::ending::{Failure, Lost, panicked, tell};
 use crate::output::{Format, Sink, print_rows};
 use crate::progress::line;
 use crate::quantity::{of, of_seconds};
+use crate::stopped::terminated;
 use crate::threads;
 
 const HELP: &str = "\\d          tables\n\\d NAME     columns of a table, with units and frames\n\\q          leave\n\
@@ -157,20 +160,44 @@ fn editor() -> Reedline {
     }
 }
 
-/// Reads and runs queries until the person leaves. A query's fault is shown, and the prompt goes on.
+/// How the person has their terminal. It is so again when this is dropped, whatever an editor that still reads made of it.
+struct Terminal(Option<Termios>);
+
+impl Terminal {
+    fn now() -> Self {
+        Self(tcgetattr(std::io::stdin()).ok())
+    }
+}
+
+impl Drop for Terminal {
+    fn drop(&mut self) {
+        if let Some(settings) = &self.0 {
+            // A terminal that is gone needs none.
+            let _ = tcsetattr(std::io::stdin(), OptionalActions::Now, settings);
+        }
+    }
+}
+
+/// Reads and runs queries until the person leaves. A query's fault is shown, and the prompt goes on. Queries hold
+/// `unfinished` as long as they have temporary files.
 ///
 /// # Errors
-/// When the terminal fails.
-pub async fn run(tables: &Arc<Tables>, format: Format) -> Result<(), Failure> {
+/// When the terminal fails, or when the program is asked to end while it answers.
+pub async fn run(
+    tables: &Arc<Tables>,
+    format: Format,
+    unfinished: &Unfinished,
+) -> Result<(), Failure> {
+    let _terminal = Terminal::now();
     let mut editor = editor();
     line("\\d lists the tables, \\? helps, \\q leaves");
     loop {
-        let signal = block_in_place(|| editor.read_line(&Sign))
-            .map_err(|error| Fault::resource(format!("the terminal failed: {error}")))?;
+        let (back, signal) = read_line(editor).await?;
+        editor = back;
         match signal {
             Signal::Success(text) => match Input::of(&text) {
                 Input::Quit => return Ok(()),
-                _ => answer(tables, text, format).await,
+                _ => answer(tables, text, format, unfinished).await?,
             },
             Signal::CtrlD => return Ok(()),
             _ => {}
@@ -178,31 +205,72 @@ pub async fn run(tables: &Arc<Tables>, format: Format) -> Result<(), Failure> {
     }
 }
 
+/// Reads a line on a thread that has nothing but the editor: it cannot be told to leave. So where the program is asked to
+/// end meanwhile, the tables go without it, and what queries have put on the disk with them.
+async fn read_line(mut editor: Reedline) -> Result<(Reedline, Signal), Failure> {
+    let reading = spawn_blocking(move || {
+        let read = editor.read_line(&Sign);
+        (editor, read)
+    });
+    let (editor, read) = reading.await.map_err(|error| panicked(&error))?;
+    let signal = read.map_err(|error| Fault::resource(format!("the terminal failed: {error}")))?;
+    Ok((editor, signal))
+}
+
+/// What comes first while a query is answered.
+enum First {
+    Answered(Result<Result<(), Failure>, JoinError>),
+    Interrupted,
+    Terminated,
+}
+
 /// Answers one input; Ctrl-C stops a query and comes back to the prompt, also while the query is being planned.
-async fn answer(tables: &Arc<Tables>, text: String, format: Format) {
-    let (tables, term) = (Arc::clone(tables), Term::default());
-    let answered = async move { respond(&tables, Input::of(&text), format).await };
+///
+/// # Errors
+/// When the program is asked to end.
+async fn answer(
+    tables: &Arc<Tables>,
+    text: String,
+    format: Format,
+    unfinished: &Unfinished,
+) -> Result<(), Failure> {
+    let term = Term::default();
+    // They are dropped in this order: what a query has put on the disk is gone before it counts as finished.
+    let held = (Arc::clone(tables), unfinished.clone());
+    let answered = async move {
+        let held = held;
+        respond(&held.0, Input::of(&text), format).await
+    };
     let mut asked = tokio::spawn(term.of(answered));
-    let ended = block_in_place(|| -> Result<_, Fault> {
+    let first = block_in_place(|| -> Result<_, Fault> {
         Ok(threads::listening()?.block_on(async {
             tokio::select! {
-                ended = &mut asked => Some(ended),
-                _ = tokio::signal::ctrl_c() => None,
+                ended = &mut asked => First::Answered(ended),
+                _ = tokio::signal::ctrl_c() => First::Interrupted,
+                () = terminated() => First::Terminated,
             }
         }))
     });
-    let ending = match ended {
-        Ok(Some(ended)) => ended.unwrap_or_else(|error| Err(panicked(&error))),
-        Ok(None) => {
-            term.end();
-            asked.abort();
+    let stop = || {
+        term.end();
+        asked.abort();
+    };
+    let ending = match first {
+        Ok(First::Answered(ended)) => ended.unwrap_or_else(|error| Err(panicked(&error))),
+        Ok(First::Interrupted) => {
+            stop();
             line("stopped");
-            return;
+            return Ok(());
+        }
+        Ok(First::Terminated) => {
+            stop();
+            return Err(Fault::user("stopped").into());
         }
         Err(fault) => Err(fault.into()),
     };
     // The ledger is told when the prompt ends; here only what failed.
     tell(&ending.map(|()| Lost::default()), &mut std::io::stderr());
+    Ok(())
 }
 
 /// Answers a line that begins with a backslash; whether more lines are wanted.

@@ -6,6 +6,13 @@ use tokio::signal::unix::{SignalKind, signal};
 pub async fn stopped() {
     tokio::select! {
         () = heard(SignalKind::interrupt()) => {}
+        () = terminated() => {}
+    }
+}
+
+/// As [`stopped`], but not by an interrupt.
+pub async fn terminated() {
+    tokio::select! {
         () = heard(SignalKind::terminate()) => {}
         () = heard(SignalKind::hangup()), if hangups_end() => {}
     }

@@ -269,6 +269,29 @@ fn queries_are_read_from_standard_input() {
 }
 
 #[test]
+fn who_reads_a_beginning_and_goes_is_no_failure_in_any_format_of_text() {
+    let query = "SELECT value, repeat('a', 1000) AS text FROM generate_series(1, 20000)";
+    let (_folder, map) = made_up_map();
+    for format in ["csv", "json", "table"] {
+        let mut child = Command::new(env!("CARGO_BIN_EXE_evermap"))
+            .args(["sql", "--map", &map, "--format", format, query])
+            .env_remove("EVERMAP_LOG")
+            .stdin(Stdio::null())
+            .stdout(Stdio::piped())
+            .stderr(Stdio::piped())
+            .spawn()
+            .unwrap();
+        let mut read = [0; 100];
+        let mut out = child.stdout.take().unwrap();
+        std::io::Read::read_exact(&mut out, &mut read).unwrap();
+        drop(out);
+        let ended = child.wait_with_output().unwrap();
+        let said = String::from_utf8_lossy(&ended.stderr);
+        assert_eq!((ended.status.code(), &*said), (Some(0), ""), "{format}");
+    }
+}
+
+#[test]
 fn layers_are_exported() {
     let (folder, map) = made_up_map();
     let path = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();

@@ -34,7 +34,7 @@ pub async fn dispatch(command: &Command, unfinished: &Unfinished) -> Ending {
         Command::Test(args) => check::test(args).await,
         Command::Explain(args) => explain::explain(args).await,
         Command::Schema { of } => check::schema(*of),
-        Command::Sql(args) => sql::sql(args).await,
+        Command::Sql(args) => sql::sql(args, unfinished).await,
         Command::Inspect(args) => inspect::inspect(args).await,
         Command::Operators(args) => operators::operators(args).await,
         Command::Layers(args) => layers::layers(args).await,

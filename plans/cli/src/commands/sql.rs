@@ -20,6 +20,7 @@ use evermap_datasets::Dataset;
 use evermap_engine::error::{OrFault, fault_of};
 use evermap_engine::map::Map;
 use evermap_engine::map::columns::{of_answer, of_table};
+use evermap_engine::run::runner::Unfinished;
 use evermap_engine::sql::{
     Limits, NO_TABLE, OpenValues, TABLES, catalog, check_size, context, explained, in_utc, plan_of,
 };
@@ -351,17 +352,17 @@ pub fn is_prompt(args: &SqlArgs) -> bool {
     query.is_none() && std::io::stdin().is_terminal() && args.out.is_none()
 }
 
-/// Runs a query, those of standard input, or a prompt.
+/// Runs a query, those of standard input, or a prompt, whose queries hold `unfinished`.
 ///
 /// # Errors
 /// The first statement's fault; at a prompt faults are shown and the prompt goes on.
-pub async fn sql(args: &SqlArgs) -> Ending {
+pub async fn sql(args: &SqlArgs, unfinished: &Unfinished) -> Ending {
     let (sessions, query) = args.split();
     let format = args.written()?;
     let tables = Arc::new(Tables::open(args, &sessions).await?);
     match query {
         Some(query) => all(&tables, statements(&query)?, args).await?,
-        None if is_prompt(args) => prompt::run(&tables, format).await?,
+        None if is_prompt(args) => prompt::run(&tables, format, unfinished).await?,
         None => {
             let text = std::io::read_to_string(std::io::stdin())
                 .map_err(|error| Fault::resource(format!("cannot read queries: {error}")))?;

@@ -1,6 +1,6 @@
 //! Where results go: standard output, or a file that is there whole or not at all.
 
-use std::io::{BufWriter, IsTerminal, Seek, SeekFrom, Stdout, Write};
+use std::io::{BufWriter, Error, IntoInnerError, IsTerminal, Seek, SeekFrom, Stdout, Write};
 use std::path::{Path, PathBuf};
 
 use evermap_schemas::Fault;
@@ -17,8 +17,8 @@ pub enum Sink {
     Temporary(Box<BufWriter<NamedTempFile>>, PathBuf),
     /// Something that is no regular file: a pipe, a device.
     Special(BufWriter<std::fs::File>),
-    /// Memory as long as it is little, then a file without a name, which is gone when nobody has it open.
-    Spooled(BufWriter<SpooledTempFile>),
+    /// Memory as long as it is little, then a file without a name in this folder, which is gone when nobody has it open.
+    Spooled(BufWriter<SpooledTempFile>, PathBuf),
 }
 
 impl Sink {
@@ -32,9 +32,8 @@ impl Sink {
     /// # Errors
     /// A user fault for a folder that is not there, a resource fault when it cannot be written to.
     pub fn file(path: &Path) -> Result<Self, Fault> {
-        let fault = |error: std::io::Error| {
-            Fault::resource(format!("cannot write {}: {error}", path.display()))
-        };
+        let fault =
+            |error: Error| Fault::resource(format!("cannot write {}: {error}", path.display()));
         let special = path
             .metadata()
             .is_ok_and(|found| !found.is_file() && !found.is_dir());
@@ -78,22 +77,30 @@ impl Sink {
 
     /// Memory for so many bytes; of more, a file without a name.
     pub fn spooled(most: usize) -> Self {
-        Self::Spooled(BufWriter::new(SpooledTempFile::new(most)))
+        Self::spooled_in(tempfile::env::temp_dir(), most)
+    }
+
+    /// As [`Sink::spooled`], with its file in this folder.
+    pub(super) fn spooled_in(folder: PathBuf, most: usize) -> Self {
+        let file = SpooledTempFile::new_in(most, &folder);
+        Self::Spooled(BufWriter::new(file), folder)
     }
 
     /// What was written to a sink of [`Sink::spooled`], to be read from its beginning on, and its bytes.
     ///
     /// # Errors
-    /// That the file is full or gone; a fault of ours for other sinks.
+    /// A resource fault when the folder of its file is full or gone; a fault of ours for other sinks.
     pub fn rewound(self) -> Result<(SpooledTempFile, u64), Failure> {
-        let Self::Spooled(file) = self else {
+        let Self::Spooled(file, folder) = self else {
             return Err(Fault::bug("what was written cannot be read again").into());
         };
-        let file = file.into_inner();
-        let mut file = file.map_err(|error| Failure::from(error.into_error()))?;
-        let bytes = file.seek(SeekFrom::End(0))?;
-        file.rewind()?;
-        Ok((file, bytes))
+        let file = file.into_inner().map_err(IntoInnerError::into_error);
+        let rewound = file.and_then(|mut file| {
+            let bytes = file.seek(SeekFrom::End(0))?;
+            file.rewind()?;
+            Ok((file, bytes))
+        });
+        Ok(rewound.map_err(|error| of_folder(&folder, &error))?)
     }
 
     /// All that was written to a sink of [`Sink::spooled`].
@@ -111,7 +118,15 @@ impl Sink {
             Self::Stdout(out) => out,
             Self::Temporary(out, _) => out,
             Self::Special(out) => out,
-            Self::Spooled(out) => out,
+            Self::Spooled(out, _) => out,
+        }
+    }
+
+    /// What an error of writing says: nobody has named the folder of a temporary file, so it is named.
+    fn told(&self, error: Error) -> Error {
+        match self {
+            Self::Spooled(_, folder) => of_folder(folder, &error),
+            _ => error,
         }
     }
 
@@ -140,12 +155,24 @@ impl Sink {
 
 impl Write for Sink {
     fn write(&mut self, bytes: &[u8]) -> std::io::Result<usize> {
-        self.out().write(bytes)
+        let written = self.out().write(bytes);
+        written.map_err(|error| self.told(error))
     }
 
     fn flush(&mut self) -> std::io::Result<()> {
-        self.out().flush()
+        let flushed = self.out().flush();
+        flushed.map_err(|error| self.told(error))
     }
+}
+
+/// The error of a temporary file in a folder, as a fault that is carried through whatever writes.
+fn of_folder(folder: &Path, error: &Error) -> Error {
+    let folder = folder.display();
+    let fault = Fault::resource(format!(
+        "cannot write a temporary file in {folder}: {error}"
+    ));
+    let next = format!("make room in {folder}, or set TMPDIR to a folder that has it");
+    Error::new(error.kind(), fault.next(next))
 }
 
 /// Writes a whole file, or none.

@@ -5,7 +5,7 @@ use super::*;
 use arrow::array::{ArrayRef, AsArray, StringArray};
 use arrow::compute::concat_batches;
 use arrow::ipc::reader::FileReader;
-use evermap_schemas::{Bytes, Pose, Stamp, record};
+use evermap_schemas::{Bytes, Kind, Pose, Stamp, record};
 use parquet::arrow::arrow_reader::ParquetRecordBatchReaderBuilder;
 
 record! {
@@ -194,4 +194,55 @@ async fn rows_of_other_types_than_their_file_says_are_refused() {
             .contains("expected x of type Utf8, found Float64"),
         "{fault}"
     );
+}
+
+/// How writing rows to a sink goes wrong.
+async fn refused(format: Format, mut sink: Sink) -> Fault {
+    let stream = futures::stream::iter([Ok(rows())]);
+    let written = write(format, rows().schema(), stream, &mut sink).await;
+    let ended = match written {
+        Ok(_) => sink.finish(),
+        Err(failure) => Err(failure),
+    };
+    let Err(Failure::Fault(fault)) = ended else {
+        unreachable!("{format:?}: {ended:?}")
+    };
+    fault
+}
+
+const FORMATS: [Format; 5] = [
+    Format::Table,
+    Format::Csv,
+    Format::Json,
+    Format::Parquet,
+    Format::Arrow,
+];
+
+#[cfg(target_os = "linux")]
+#[tokio::test]
+async fn a_disk_that_is_full_is_told_so_in_every_format() {
+    for format in FORMATS {
+        let fault = refused(format, Sink::file(Path::new("/dev/full")).unwrap()).await;
+        assert_eq!(fault.kind, Kind::Resource, "{format:?}: {fault}");
+        let said = "cannot write the result: No space left on device";
+        assert!(fault.message.starts_with(said), "{format:?}: {fault}");
+    }
+}
+
+#[tokio::test]
+async fn a_folder_of_temporary_files_that_is_gone_is_named_in_every_format() {
+    for format in FORMATS {
+        let sink = Sink::spooled_in("/no/such/folder".into(), 0);
+        let fault = refused(format, sink).await;
+        assert_eq!(fault.kind, Kind::Resource, "{format:?}: {fault}");
+        let said = "cannot write a temporary file in /no/such/folder: ";
+        assert!(fault.message.starts_with(said), "{format:?}: {fault}");
+        assert!(fault.next.contains("TMPDIR"), "{format:?}: {fault}");
+    }
+    let mut sink = Sink::spooled_in("/no/such/folder".into(), 0);
+    std::io::Write::write_all(&mut sink, b"little").unwrap();
+    let Err(Failure::Fault(fault)) = sink.rewound() else {
+        unreachable!("it was written")
+    };
+    assert!(fault.next.contains("/no/such/folder"), "{fault}");
 }

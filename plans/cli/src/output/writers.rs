@@ -1,6 +1,6 @@
 //! One writer a format.
 
-use std::io::Write;
+use std::io::{Error as IoError, Result as Written, Write};
 
 use arrow::array::RecordBatch;
 use arrow::csv::WriterBuilder as CsvBuilder;
@@ -52,9 +52,9 @@ pub fn open(
             shown: false,
         }),
         Format::Csv => {
+            let mut csv = Csv { sink };
             // The header stands even where there are no rows.
-            let mut csv = CsvBuilder::new().with_header(true).build(sink);
-            csv.write(&flat(&RecordBatch::new_empty(schema))?)?;
+            csv.lay_out(&RecordBatch::new_empty(schema), true)?;
             Box::new(csv)
         }
         Format::Json => Box::new(
@@ -112,9 +112,58 @@ impl RowWriter for Table<'_> {
     }
 }
 
-impl RowWriter for arrow::csv::Writer<&mut Sink> {
+struct Csv<'s> {
+    sink: &'s mut Sink,
+}
+
+impl Csv<'_> {
+    fn lay_out(&mut self, batch: &RecordBatch, header: bool) -> Result<(), Failure> {
+        let mut failed = None;
+        let out = Heard {
+            sink: self.sink,
+            failed: &mut failed,
+        };
+        let mut csv = CsvBuilder::new().with_header(header).build(out);
+        let written = csv.write(&flat(batch)?);
+        drop(csv);
+        match failed {
+            Some(error) => Err(error.into()),
+            None => Ok(written?),
+        }
+    }
+}
+
+/// A sink for a library that makes a text of what goes wrong: whether nobody reads any more, or the disk is full, is kept.
+struct Heard<'s> {
+    sink: &'s mut Sink,
+    failed: &'s mut Option<IoError>,
+}
+
+impl Heard<'_> {
+    fn keep(&mut self, written: Written<()>) -> Written<()> {
+        written.map_err(|error| {
+            let kind = error.kind();
+            *self.failed = Some(error);
+            kind.into()
+        })
+    }
+}
+
+impl Write for Heard<'_> {
+    fn write(&mut self, bytes: &[u8]) -> Written<usize> {
+        let written = self.sink.write_all(bytes);
+        self.keep(written).map(|()| bytes.len())
+    }
+
+    fn flush(&mut self) -> Written<()> {
+        let written = self.sink.flush();
+        self.keep(written)
+    }
+}
+
+impl RowWriter for Csv<'_> {
     fn write(&mut self, batch: &RecordBatch) -> Result<(), Failure> {
-        Ok(arrow::csv::Writer::write(self, &flat(batch)?)?)
+        self.lay_out(batch, false)
     }
 
     fn finish(self: Box<Self>) -> Result<(), Failure> {
