@@ -34,7 +34,7 @@ class Prompt:
         fcntl.ioctl(self.terminal, termios.TIOCSWINSZ, struct.pack("HHHH", 40, 120, 0, 0))
         self.settings = termios.tcgetattr(self.terminal)
         self.program = subprocess.Popen(
-            [program, "sql", "--memory", "64MiB", log],
+            [program, "sql", "--memory", "64MiB", "--sessions", log],
             stdin=self.terminal,
             stdout=self.terminal,
             stderr=self.terminal,
