@@ -105,8 +105,8 @@ pub async fn command(line: impl IntoIterator<Item = OsString>) -> Ending {
     commands::dispatch(&arguments.command, &unfinished).await
 }
 
-/// Runs a command on the threads of a runtime, unless the person stops it. A map changes only by the last step of a run, so stopping leaves it as
-/// it was, and what was computed is found again.
+/// Runs a command on the threads of a runtime, unless the person stops it. A map changes only by the last step of a run,
+/// so stopping leaves it as it was, and what was computed is found again.
 async fn until_interrupted(command: Command, runtime: &Runtime) -> Ending {
     let command = Arc::new(command);
     let own_interrupts = matches!(&*command, Command::Sql(args) if is_prompt(args));

@@ -43,13 +43,15 @@ pub struct Tables {
 #[derive(Default)]
 struct Table {
     rows: OnceCell<Arc<dyn TableProvider>>,
-    /// When its layer's files were last found to be what was written.
-    checked: Mutex<Option<Instant>>,
+    /// Until when its layer's files are believed to be what was written.
+    believed: Mutex<Option<Instant>>,
 }
 
-/// How long the files of a layer that is open are believed to be what they were, so that queries one after the other do not
-/// each ask a store of objects for all of them.
+/// How long the files of a layer that is open are believed to be what they were, at least, so that queries one after the
+/// other do not each ask a store of objects for all of them.
 const BELIEVED: Duration = Duration::from_secs(1);
+/// The same in times of what it takes to ask, which grows with the files: queries wait a twentieth of the time at most.
+const BELIEVED_TIMES: u32 = 20;
 
 /// What a map says of itself. No step makes layers of these names; one that an older evermap made is hidden behind them.
 pub(crate) fn own() -> impl Iterator<Item = Layer> {
@@ -169,11 +171,13 @@ impl Tables {
 
     /// That the files of a table's layer are what was written, also where they were replaced since it is open.
     async fn check(&self, table: &Table, layer: &str) -> Result<(), Fault> {
-        let mut checked = table.checked.lock().await;
-        if checked.is_none_or(|at| at.elapsed() > BELIEVED) {
+        let mut believed = table.believed.lock().await;
+        let begun = Instant::now();
+        if believed.is_none_or(|until| begun > until) {
             let found = self.map.checked(layer).await;
             found.map_err(|fault| in_layer(fault, layer))?;
-            *checked = Some(Instant::now());
+            let asked = begun.elapsed();
+            *believed = Some(Instant::now() + BELIEVED.max(asked * BELIEVED_TIMES));
         }
         Ok(())
     }

@@ -65,8 +65,10 @@ fn place_of_session<'f>(fault: &'f Fault, manifest: &Source) -> Option<(Position
 
 /// Where a manifest says bits of samples.
 fn place_of_bits<'f>(fault: &'f Fault, manifest: &Source) -> Option<(Position, &'f str)> {
-    let is_it = fault.place == BITS;
-    is_it.then(|| Some((entry_place(manifest, BITS)?, "")))?
+    if fault.place != BITS {
+        return None;
+    }
+    Some((entry_place(manifest, BITS)?, ""))
 }
 
 #[cfg(test)]

@@ -31,7 +31,8 @@ pub struct Scored {
     pub score: f64,
 }
 
-/// The boxes of these lengths and widths whose score is highest among those that overlap, of those that are `asked` for: the best first, `most` of them at most. `weights` are those of [`describe`]'s numbers.
+/// The boxes of these lengths and widths whose score is highest among those that overlap, of those that are `asked` for: the
+/// best first, `most` of them at most. `weights` are those of [`describe`]'s numbers.
 pub fn scan(
     gradients: &Gradients,
     weights: &[f64],
