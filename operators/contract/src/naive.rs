@@ -2,12 +2,14 @@
 //! operators on, and what the real engine is compared with.
 
 use std::collections::BTreeMap;
+use std::sync::Arc;
 
 use arrow::array::{RecordBatch, UInt32Array};
 use arrow::compute::{SortColumn, concat_batches, lexsort_to_indices, take_record_batch};
 use evermap_schemas::{Fault, LayerRow};
 use serde_json::Value;
 
+use crate::shelf::{InMemory, catalogue};
 use crate::sides::runs_of_equal;
 use crate::table::with_pixels;
 use crate::{Emit, Entry, Job, Losses, Phase, Port, Shape, Sides};
@@ -84,11 +86,16 @@ fn work(
         };
         sort(&with_pixels(&rows, port.pixels)?, order)
     };
-    let sides = entry.sides(phase).iter().map(|port| {
+    let mut sides = Sides::default();
+    for port in entry.sides(phase) {
         let rows = table(port, &port.sorting())?;
-        Ok((port.name.to_owned(), vec![rows]))
-    });
-    let sides = Sides::new(sides.collect::<Result<_, Fault>>()?);
+        if port.shelved {
+            let held = vec![catalogue(&rows, 0)?];
+            sides.shelve(port.name, held, Arc::new(InMemory::new(vec![rows])));
+        } else {
+            sides.add(port.name, vec![rows]);
+        }
+    }
     let input = table(&driving.port, &driving.sorting)?;
     let mut emitted = Vec::new();
     let mut collect = |batch: RecordBatch| {
@@ -161,7 +168,7 @@ pub fn sort(rows: &RecordBatch, columns: &[&str]) -> Result<RecordBatch, Fault> 
     }
     let position = UInt32Array::from_iter_values(0..rows.num_rows() as u32);
     keys.push(SortColumn {
-        values: std::sync::Arc::new(position),
+        values: Arc::new(position),
         options: None,
     });
     Ok(take_record_batch(rows, &lexsort_to_indices(&keys, None)?)?)

@@ -87,6 +87,8 @@ pub struct Port {
     /// The [`evermap_schemas::ImageRef`] column whose images are wanted too: their encoded bytes come in a `Binary` column
     /// beside it, see [`pixels_column`]. An image that cannot be fetched is null there.
     pub pixels: Option<&'static str>,
+    /// Whether the rows are fetched one at a time, and need not fit into memory together.
+    pub shelved: bool,
     /// Whether a plan may leave the port unconnected; the kernel then sees an empty table.
     pub optional: bool,
     /// Whether there is nothing to do where it has no rows.
@@ -111,6 +113,7 @@ impl Port {
             layer: T::layer(),
             reach,
             pixels: None,
+            shelved: false,
             optional: false,
             needed: false,
         }
@@ -120,6 +123,15 @@ impl Port {
     #[must_use]
     pub fn pixels(mut self, column: &'static str) -> Self {
         self.pixels = Some(column);
+        self
+    }
+
+    /// The rows of this side are fetched one at a time, by [`Sides::shelved`](crate::Sides::shelved): for tables that would
+    /// fill the memory, of heavy rows. [`Sides::rows`](crate::Sides::rows) gives what else they have than lists, structs and
+    /// bytes.
+    #[must_use]
+    pub fn shelved(mut self) -> Self {
+        self.shelved = true;
         self
     }
 

@@ -1,6 +1,7 @@
 //! The tables that a kernel reads beside its driving rows, and the images that came with rows.
 
 use std::collections::BTreeMap;
+use std::sync::Arc;
 
 use arrow::array::{Array, AsArray, BinaryArray, RecordBatch};
 use arrow::compute::partition;
@@ -8,16 +9,46 @@ use evermap_schemas::{Fault, Record, rows};
 
 use crate::Port;
 use crate::port::pixels_column;
+use crate::shelf::{Shelf, Shelved};
 
 /// The tables of the ports other than the driving one, by port name: the rows of one site, or of the group at hand, in
 /// the order of the layer's key.
 #[derive(Debug, Clone, Default)]
-pub struct Sides(BTreeMap<String, Vec<RecordBatch>>);
+pub struct Sides {
+    /// By port; of one that is shelved, the catalogue of its rows.
+    tables: BTreeMap<String, Vec<RecordBatch>>,
+    /// By port that is shelved: its rows.
+    shelves: BTreeMap<String, Arc<dyn Shelf>>,
+}
 
 impl Sides {
     /// Sides from tables by port name.
     pub fn new(tables: BTreeMap<String, Vec<RecordBatch>>) -> Self {
-        Self(tables)
+        Self {
+            tables,
+            shelves: BTreeMap::new(),
+        }
+    }
+
+    /// Adds the table of a port.
+    pub fn add(&mut self, port: &str, table: Vec<RecordBatch>) {
+        self.tables.insert(port.to_owned(), table);
+    }
+
+    /// Adds the rows of a port that is [shelved](Port::shelved()), which this is the [catalogue](crate::catalogue) of.
+    pub fn shelve(&mut self, port: &str, catalogue: Vec<RecordBatch>, shelf: Arc<dyn Shelf>) {
+        self.add(port, catalogue);
+        self.shelves.insert(port.to_owned(), shelf);
+    }
+
+    /// The rows of a port that is [shelved](Port::shelved()), to be fetched one at a time; what its catalogue has of them are
+    /// its [`Sides::rows`].
+    ///
+    /// # Errors
+    /// A bug fault where the port was not declared as shelved.
+    pub fn shelved<T: Record>(&self, port: &str) -> Result<Shelved<T>, Fault> {
+        let shelved = Shelved::of(self.batches(port), self.shelves.get(port).cloned());
+        shelved.map_err(|fault| fault.at(format!("port {port}")))
     }
 
     /// The typed rows of a port; none where it is not connected.
@@ -38,7 +69,7 @@ impl Sides {
     /// As [`Sides::rows`].
     pub fn take<T: Record>(&mut self, port: &str) -> Result<Vec<T>, Fault> {
         let mut all = Vec::new();
-        for batch in self.0.remove(port).unwrap_or_default() {
+        for batch in self.tables.remove(port).unwrap_or_default() {
             all.extend(typed::<T>(&batch, port)?);
         }
         Ok(all)
@@ -54,7 +85,7 @@ impl Sides {
     }
 
     fn batches(&self, port: &str) -> &[RecordBatch] {
-        self.0.get(port).map_or(&[], Vec::as_slice)
+        self.tables.get(port).map_or(&[], Vec::as_slice)
     }
 
     /// Whether a table that is needed has no rows.
@@ -70,18 +101,19 @@ impl Sides {
     /// The tables cut by site. A table without a column `site` belongs to every site.
     pub(crate) fn by_site(&self) -> Result<BTreeMap<String, Sides>, Fault> {
         let mut sites: BTreeMap<String, Sides> = BTreeMap::new();
-        for (port, batches) in &self.0 {
+        for (port, batches) in &self.tables {
             for batch in batches {
                 for part in runs_of_equal(batch, &["site"])? {
                     if let Some(site) = site_of(&part) {
-                        let tables = &mut sites.entry(site.to_owned()).or_default().0;
+                        let tables = &mut sites.entry(site.to_owned()).or_default().tables;
                         tables.entry(port.clone()).or_default().push(part);
                     }
                 }
             }
         }
         for sides in sites.values_mut() {
-            sides.0.extend(self.everywhere().0);
+            sides.tables.extend(self.everywhere().tables);
+            sides.shelves = self.shelves.clone();
         }
         Ok(sites)
     }
@@ -93,12 +125,14 @@ impl Sides {
                 .iter()
                 .all(|batch| batch.column_by_name("site").is_none())
         };
-        let tables = self.0.iter().filter(|(_, batches)| no_site(batches));
-        Sides(
-            tables
+        let tables = self.tables.iter();
+        let tables = tables.filter(|(_, batches)| no_site(batches));
+        Sides {
+            tables: tables
                 .map(|(port, batches)| (port.clone(), batches.clone()))
                 .collect(),
-        )
+            shelves: self.shelves.clone(),
+        }
     }
 
     /// What belongs with a group of the driving port: the rows that are equal in those of the group's columns that say
@@ -111,7 +145,7 @@ impl Sides {
     ) -> Result<Sides, Fault> {
         let mut own = BTreeMap::new();
         for port in ports {
-            let Some(batches) = self.0.get_mut(port.name) else {
+            let Some(batches) = self.tables.get_mut(port.name) else {
                 continue;
             };
             let mut columns = port.reach.columns().to_vec();
@@ -132,7 +166,10 @@ impl Sides {
             *batches = left;
             own.insert(port.name.to_owned(), kept);
         }
-        Ok(Sides(own))
+        Ok(Sides {
+            tables: own,
+            shelves: self.shelves.clone(),
+        })
     }
 }
 

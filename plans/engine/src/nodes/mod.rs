@@ -7,6 +7,7 @@ pub mod pixels;
 pub mod planned;
 pub mod python;
 pub mod raw;
+pub mod shelf;
 mod spared;
 #[cfg(test)]
 mod tests;

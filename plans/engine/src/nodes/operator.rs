@@ -8,12 +8,12 @@
 //!
 //! ```text
 //!  sides ─► conform ─► memory reservation ─► Job, in the CPU pool, once
+//!                    └► shelf (`shelf`), where rows are fetched one at a time
 //!                                             │
 //!  driving rows ─► conform ─► │channel│ ─► Worker, in the CPU pool ─► │channel│ ─► output stream
 //!        (async threads)                     (blocking thread)
 //! ```
 
-use std::collections::BTreeMap;
 use std::fmt;
 use std::sync::{Arc, Mutex, OnceLock};
 
@@ -21,7 +21,7 @@ use arrow::array::RecordBatch;
 use datafusion::common::utils::memory::get_record_batch_memory_size;
 use datafusion::error::Result as DataFusionResult;
 use datafusion::execution::memory_pool::{MemoryConsumer, MemoryReservation};
-use datafusion::execution::{SendableRecordBatchStream, TaskContext};
+use datafusion::execution::{DiskManager, SendableRecordBatchStream, TaskContext};
 use datafusion::physical_expr::EquivalenceProperties;
 use datafusion::physical_plan::metrics::{
     BaselineMetrics, Count, MetricBuilder, RecordOutput, Time,
@@ -40,6 +40,7 @@ use crate::conform::{beside, conform};
 use crate::error::{OrFault, external};
 use crate::locked::locked;
 use crate::nodes::node::{Deal, Duty, Need, Node, first};
+use crate::nodes::shelf::{Filled, Shelving};
 
 /// Batches waiting on either side of a kernel.
 const QUEUE: usize = 2;
@@ -176,6 +177,8 @@ pub struct Prepared {
 struct SideMetrics {
     rows: Count,
     bytes: Count,
+    /// Those in temporary files, beside them.
+    file_bytes: Count,
     collecting: Time,
     preparing: Time,
 }
@@ -187,6 +190,7 @@ impl OperatorExec {
             let metrics = SideMetrics {
                 rows: builder().global_counter("side_rows"),
                 bytes: builder().global_counter("side_bytes"),
+                file_bytes: builder().global_counter("side_file_bytes"),
                 collecting: builder().subset_time("side_time", 0),
                 preparing: builder().subset_time("prepare_time", 0),
             };
@@ -208,28 +212,42 @@ async fn prepare(
 ) -> Result<Arc<Prepared>, Fault> {
     let memory = MemoryConsumer::new(format!("sides of {}", operator.entry.name))
         .register(context.memory_pool());
-    let mut sides = BTreeMap::new();
-    for (port, table) in operator.sides.iter().zip(tables) {
+    let runtime = context.runtime_env();
+    let mut sides = Sides::default();
+    // Rows that may go to a disk take the memory that the others leave.
+    let all = operator.sides.iter().zip(tables);
+    let (shelved, whole): (Vec<_>, Vec<_>) = all.partition(|(port, _)| port.shelved);
+    for (port, table) in whole.into_iter().chain(shelved) {
         let _timer = metrics.collecting.timer();
-        let stream = table.execute(0, Arc::clone(&context));
-        let rows = collect(port, stream.or_fault()?, &memory).await;
-        let rows = rows.map_err(|fault| fault.at(format!("port {}", port.name)))?;
-        metrics
-            .rows
-            .add(rows.iter().map(RecordBatch::num_rows).sum());
-        sides.insert(port.name.to_owned(), rows);
+        let rows = table.execute(0, Arc::clone(&context)).or_fault()?;
+        let place = |fault: Fault| fault.at(format!("port {}", port.name));
+        if port.shelved {
+            let filled = shelve(port, rows, &memory, &runtime.disk_manager).await;
+            let filled = filled.map_err(place)?;
+            metrics.rows.add(rows_in(&filled.catalogue));
+            metrics.file_bytes.add(filled.file_bytes as usize);
+            sides.shelve(port.name, filled.catalogue, filled.shelf);
+        } else {
+            let rows = collect(port, rows, &memory).await.map_err(place)?;
+            metrics.rows.add(rows_in(&rows));
+            sides.add(port.name, rows);
+        }
     }
     metrics.bytes.add(memory.size());
     let timed = metrics.preparing;
     let job = in_pool(move || {
         let _timer = timed.timer();
         let Operator { entry, params, .. } = operator.as_ref();
-        Job::new(entry, params, operator.phase, Sides::new(sides))
+        Job::new(entry, params, operator.phase, sides)
     });
     Ok(Arc::new(Prepared {
         job: job.await?,
         _memory: memory,
     }))
+}
+
+fn rows_in(batches: &[RecordBatch]) -> usize {
+    batches.iter().map(RecordBatch::num_rows).sum()
 }
 
 async fn collect(
@@ -239,14 +257,26 @@ async fn collect(
 ) -> Result<Vec<RecordBatch>, Fault> {
     let mut rows = Vec::new();
     while let Some(batch) = table.next().await {
-        let batch = batch.or_fault()?;
-        let batch = given(&batch, port)?;
+        let batch = given(&batch.or_fault()?, port)?;
         memory
             .try_grow(get_record_batch_memory_size(&batch))
             .or_fault()?;
         rows.push(batch);
     }
     Ok(rows)
+}
+
+async fn shelve(
+    port: &Port,
+    mut table: SendableRecordBatchStream,
+    memory: &MemoryReservation,
+    disk: &Arc<DiskManager>,
+) -> Result<Filled, Fault> {
+    let mut shelving = Shelving::new(memory, disk);
+    while let Some(batch) = table.next().await {
+        shelving.push(given(&batch.or_fault()?, port)?)?;
+    }
+    shelving.finish()
 }
 
 /// The batch with just what a port reads: the columns of its layer, and the images beside them.

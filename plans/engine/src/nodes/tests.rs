@@ -6,6 +6,7 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 
 use arrow::array::RecordBatch;
 use datafusion::datasource::memory::MemorySourceConfig;
+use datafusion::datasource::source::DataSourceExec;
 use datafusion::physical_optimizer::PhysicalOptimizerRule;
 use datafusion::physical_optimizer::ensure_requirements::EnsureRequirements;
 use datafusion::physical_plan::display::DisplayableExecutionPlan;
@@ -14,13 +15,13 @@ use datafusion::prelude::SessionContext;
 use evermap_contract::laws::table;
 use evermap_contract::{Entry, LayerRow, Operator as Declared, Phase, Port, Work};
 use evermap_datasets::{Dataset, ImageReader};
-use evermap_schemas::layers::{Keyframe, VehiclePose};
-use evermap_schemas::{Fault, Kind, Layer, record, rows};
+use evermap_schemas::layers::{Features, Keyframe, VehiclePose};
+use evermap_schemas::{Bytes, Fault, Kind, Layer, Stamp, batch, record, rows};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use serde_json::json;
 
-use crate::nodes::node::{Deal, Duty, Need};
+use crate::nodes::node::{Deal, Duty, Need, ordering};
 use crate::nodes::operator::{Operator, OperatorExec};
 use crate::nodes::pixels::{Fetching, PixelsExec};
 use crate::sql::{Limits, context};
@@ -74,6 +75,33 @@ impl Declared for Counted {
     }
 }
 
+/// Counts the bytes of the descriptors of the image at each pose, one image at a time.
+struct Fetched;
+impl Declared for Fetched {
+    const NAME: &'static str = "fetched";
+    const VERSION: u32 = 1;
+    const PAGE: &'static str = "";
+    type Params = Params;
+    type Output = Company;
+    fn work() -> Work<Params> {
+        Work::each_row(
+            Port::session::<VehiclePose>("poses"),
+            vec![Port::site::<Features>("images").shelved()],
+            |_, sides| sides.shelved::<Features>("images"),
+            |images, pose: VehiclePose| {
+                let image = images.row(pose.stamp.0 as usize);
+                let image = image.map_err(|fault| fault.to_string())?;
+                Ok([Company {
+                    site: pose.site,
+                    session: pose.session,
+                    stamp: image.stamp,
+                    keyframes: image.descriptors.0.len() as u64,
+                }])
+            },
+        )
+    }
+}
+
 fn made(layer: &Layer, rows: std::ops::Range<i64>) -> RecordBatch {
     let row = |at: i64| json!({ "site": "s", "session": "a", "stamp": at, "keyframe": at });
     let known = |mut row: serde_json::Value| {
@@ -101,6 +129,62 @@ fn plan(context: &SessionContext) -> Arc<dyn ExecutionPlan> {
     let children = vec![scan(&poses), scan(&keyframes)];
     let exec = OperatorExec::try_new(Arc::new(operator), children).unwrap();
     ensured(context, Arc::new(exec))
+}
+
+/// Poses in three partitions, and as many images of 64 kB and more, in their order.
+fn fetching(context: &SessionContext) -> Arc<dyn ExecutionPlan> {
+    let poses = [0..10, 10..20, 20..30].map(|part| vec![made(&VehiclePose::layer(), part)]);
+    let image = |at: i64| Features {
+        site: "s".to_owned(),
+        session: "a".to_owned(),
+        stamp: Stamp(at),
+        keyframe: at as u32,
+        camera: "front".to_owned(),
+        width: 400,
+        height: 300,
+        u: vec![],
+        v: vec![],
+        size_px: vec![],
+        descriptors: Bytes(vec![0; 65_536 + at as usize]),
+    };
+    let images = (0..30).map(|at| batch(vec![image(at)]).unwrap());
+    let images: Vec<RecordBatch> = images.collect();
+    let schema = Features::layer().schema();
+    let order = ordering(["site", "session", "stamp", "camera"], &schema).unwrap();
+    let images = MemorySourceConfig::try_new(&[images], schema, None).unwrap();
+    let images = images.try_with_sort_information(vec![order]).unwrap();
+    let entry = Entry::of::<Fetched>();
+    let sides = entry.sides(Phase::Run).to_vec();
+    let operator = Operator::new(&entry, &entry.defaults, Phase::Run, sides, Arc::default());
+    let images: Arc<dyn ExecutionPlan> = DataSourceExec::from_data_source(images);
+    let children = vec![scan(&poses), images];
+    let exec = OperatorExec::try_new(Arc::new(operator), children).unwrap();
+    ensured(context, Arc::new(exec))
+}
+
+#[tokio::test]
+async fn rows_on_a_shelf_are_fetched_wherever_there_is_room_for_them() {
+    for (memory_bytes, in_file) in [(1 << 30, false), (1 << 20, true)] {
+        let context = limited(memory_bytes);
+        let plan = fetching(&context);
+        let batches = collect(Arc::clone(&plan), context.task_ctx())
+            .await
+            .unwrap();
+        let company: Vec<Company> = batches.iter().flat_map(|b| rows(b).unwrap()).collect();
+        let mut found: Vec<(i64, u64)> = company
+            .iter()
+            .map(|row| (row.stamp.0, row.keyframes))
+            .collect();
+        found.sort_unstable();
+        let expected: Vec<(i64, u64)> = (0..30).map(|at| (at, 65_536 + at as u64)).collect();
+        assert_eq!(found, expected);
+        let metrics = plan.metrics().unwrap();
+        let in_files = metrics.sum_by_name("side_file_bytes").unwrap().as_usize();
+        assert_eq!(in_files > 30 * 65_536, in_file, "{in_files} B");
+        drop(plan);
+        let left = context.runtime_env().disk_manager.used_disk_space();
+        assert_eq!(left, 0);
+    }
 }
 
 fn ensured(context: &SessionContext, plan: Arc<dyn ExecutionPlan>) -> Arc<dyn ExecutionPlan> {
