@@ -1,5 +1,6 @@
 //! A session as the metric map's algorithms want it: the rig, and its keyframes with their features.
 
+use std::borrow::Cow;
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
@@ -9,16 +10,32 @@ use evermap_algorithms::geometry::rig::{Rig, RigCamera};
 use evermap_algorithms::metric_map::features::{
     DESCRIPTOR_BYTES, Descriptor, Feature, ImageFeatures, KeyframeFeatures,
 };
-use evermap_algorithms::metric_map::places::{self, DriveTrack};
-use evermap_contract::{Emit, Fault, Reason, Sides};
+use evermap_algorithms::metric_map::places::{self, DriveTrack, Seen};
+use evermap_contract::{Emit, Fault, Reason, Shelved, Sides};
 use evermap_schemas::layers::{Features, Keyframe, Track};
 use evermap_schemas::roles::{Calibration, Transform};
-use evermap_schemas::{Bytes, Stamp};
+use evermap_schemas::{Bytes, Stamp, record};
 
 use super::rig::{self, VehicleFrame, frame};
 
+record! {
+    /// An image that has features, without them: what the catalogue of a shelf has of a row.
+    pub struct FeaturedImage {
+        /// Session that was driven.
+        session: String,
+        /// Instant of the keyframe.
+        stamp: Stamp ["ns"],
+        /// Camera that took the image.
+        camera: String,
+        /// Width of the image.
+        width: u32 ["px"],
+        /// Height of the image.
+        height: u32 ["px"],
+    }
+}
+
 /// One keyframe of a drive.
-pub(crate) struct DriveKeyframe {
+pub(crate) struct DriveKeyframe<F = KeyframeFeatures> {
     /// Its instant.
     pub(crate) stamp: Stamp,
     /// Its number within the session.
@@ -27,18 +44,21 @@ pub(crate) struct DriveKeyframe {
     pub(crate) stretch: u32,
     /// The vehicle in the drifting odometry frame of that stretch.
     pub(crate) odom_from_vehicle: Pose,
-    /// What its cameras saw, in the rig's order.
-    pub(crate) features: KeyframeFeatures,
+    /// What its cameras saw, in the rig's order; or where that is to be found.
+    pub(crate) features: F,
 }
 
 /// One session.
 #[derive(Default)]
-pub(crate) struct Drive {
+pub(crate) struct Drive<F = KeyframeFeatures> {
     /// Its cameras: those with features and a calibration.
     pub(crate) rig: Rig,
     /// Its keyframes, by stamp.
-    pub(crate) keyframes: Vec<DriveKeyframe>,
+    pub(crate) keyframes: Vec<DriveKeyframe<F>>,
 }
+
+/// The rows of a keyframe's images on a shelf, in the rig's order; none where a camera gave no features.
+pub(crate) type OnShelf = Vec<Option<usize>>;
 
 /// The drives by session, from the rows of their keyframes and features and the ports `calibration` and `transforms`. A
 /// keyframe without features is kept: odometry goes through it. Images whose camera cannot be used are counted.
@@ -53,7 +73,46 @@ pub(crate) fn drives(
     emit: &mut Emit<'_>,
 ) -> Result<BTreeMap<String, Drive>, Fault> {
     let mounted = rig::sessions(sides)?;
-    let mut drives: BTreeMap<String, Drive> = BTreeMap::new();
+    let mut drives: BTreeMap<String, Drive> = routes(keyframes);
+    let mut features = by_session(features, |row| &row.session);
+    for (session, drive) in &mut drives {
+        let rows = features.remove(session).unwrap_or_default();
+        let shots: Vec<Shot<'_>> = rows.iter().map(Shot::of).collect();
+        let mut skip = |reason, images| emit.skip(reason, images);
+        drive.rig = rig(mounted.get(session), &shots, vehicle, &mut skip);
+        drive.fill(rows);
+    }
+    Ok(drives)
+}
+
+/// As [`drives`], of features that stay on their shelf: `images` are all rows of its catalogue.
+///
+/// # Errors
+/// As [`Sides::rows`].
+pub(crate) fn drives_on_shelf(
+    keyframes: Vec<Keyframe>,
+    images: Vec<FeaturedImage>,
+    sides: &Sides,
+    vehicle: &VehicleFrame,
+    emit: &mut Emit<'_>,
+) -> Result<BTreeMap<String, Drive<OnShelf>>, Fault> {
+    let mounted = rig::sessions(sides)?;
+    let mut drives: BTreeMap<String, Drive<OnShelf>> = routes(keyframes);
+    let images = images.into_iter().enumerate();
+    let mut images = by_session(images, |(_, image)| &image.session);
+    for (session, drive) in &mut drives {
+        let images = images.remove(session).unwrap_or_default();
+        let shots: Vec<Shot<'_>> = images.iter().map(|(_, image)| Shot::named(image)).collect();
+        let mut skip = |reason, images| emit.skip(reason, images);
+        drive.rig = rig(mounted.get(session), &shots, vehicle, &mut skip);
+        drive.find(&images);
+    }
+    Ok(drives)
+}
+
+/// The drives by session, without cameras and what they saw.
+fn routes<F: Default>(keyframes: Vec<Keyframe>) -> BTreeMap<String, Drive<F>> {
+    let mut drives: BTreeMap<String, Drive<F>> = BTreeMap::new();
     for row in keyframes {
         let Ok(odom_from_vehicle) = Pose::from_array(row.odom_from_vehicle.to_array()) else {
             continue;
@@ -64,18 +123,13 @@ pub(crate) fn drives(
             number: row.keyframe,
             stretch: row.stretch,
             odom_from_vehicle,
-            features: KeyframeFeatures::default(),
+            features: F::default(),
         });
     }
-    let mut features = by_session(features);
-    for (session, drive) in &mut drives {
-        let rows = features.remove(session).unwrap_or_default();
-        let mut skip = |reason, images| emit.skip(reason, images);
-        drive.rig = rig(mounted.get(session), &rows, vehicle, &mut skip);
+    for drive in drives.values_mut() {
         drive.keyframes.sort_by_key(|keyframe| keyframe.stamp);
-        drive.fill(rows);
     }
-    Ok(drives)
+    drives
 }
 
 /// The rig of every session of a site whose images these are: for programs that hand a map's cameras to others. Of the
@@ -87,41 +141,71 @@ pub fn rigs(
     vehicle: &VehicleFrame,
 ) -> BTreeMap<String, Rig> {
     let mounted = rig::rigs(calibration, transforms);
-    let sessions = by_session(features).into_iter();
+    let sessions = by_session(features, |row| &row.session).into_iter();
     let of = |(session, rows): (String, Vec<Features>)| {
-        let rig = rig(mounted.get(&session), &rows, vehicle, &mut |_, _| {});
+        let shots: Vec<Shot<'_>> = rows.iter().map(Shot::of).collect();
+        let rig = rig(mounted.get(&session), &shots, vehicle, &mut |_, _| {});
         (session, rig)
     };
     sessions.map(of).collect()
 }
 
-fn by_session(features: Vec<Features>) -> BTreeMap<String, Vec<Features>> {
-    let mut sessions: BTreeMap<String, Vec<Features>> = BTreeMap::new();
-    for row in features {
-        sessions.entry(row.session.clone()).or_default().push(row);
+fn by_session<T>(
+    rows: impl IntoIterator<Item = T>,
+    session: impl Fn(&T) -> &String,
+) -> BTreeMap<String, Vec<T>> {
+    let mut sessions: BTreeMap<String, Vec<T>> = BTreeMap::new();
+    for row in rows {
+        let rows = sessions.entry(session(&row).clone()).or_default();
+        rows.push(row);
     }
     sessions
+}
+
+/// What a rig is told by an image: the camera, when, and the image's width and height.
+struct Shot<'a> {
+    camera: &'a str,
+    stamp: Stamp,
+    size: [u32; 2],
+}
+
+impl<'a> Shot<'a> {
+    fn of(row: &'a Features) -> Self {
+        Self {
+            camera: &row.camera,
+            stamp: row.stamp,
+            size: [row.width, row.height],
+        }
+    }
+
+    fn named(image: &'a FeaturedImage) -> Self {
+        Self {
+            camera: &image.camera,
+            stamp: image.stamp,
+            size: [image.width, image.height],
+        }
+    }
 }
 
 /// The rig whose images these are. Cameras are calibrated once per session: by the calibration that holds at their first
 /// image.
 fn rig(
     mounted: Option<&rig::Rig>,
-    rows: &[Features],
+    shots: &[Shot<'_>],
     vehicle: &VehicleFrame,
     skip: &mut dyn FnMut(Reason, u64),
 ) -> Rig {
-    let mut first: BTreeMap<&str, &Features> = BTreeMap::new();
-    for row in rows {
-        first.entry(&row.camera).or_insert(row);
+    let mut first: BTreeMap<&str, &Shot<'_>> = BTreeMap::new();
+    for shot in shots {
+        first.entry(shot.camera).or_insert(shot);
     }
     let mut cameras = Vec::new();
-    for (name, row) in first {
+    for (name, shot) in first {
         let mounted = mounted.ok_or_else(|| rig::uncalibrated(name));
-        match mounted.and_then(|rig| camera(rig, row, vehicle)) {
+        match mounted.and_then(|rig| camera(rig, shot, vehicle)) {
             Ok(camera) => cameras.push(camera),
             Err(reason) => {
-                let images = rows.iter().filter(|row| row.camera == name).count();
+                let images = shots.iter().filter(|shot| shot.camera == name).count();
                 skip(reason, images as u64);
             }
         }
@@ -171,6 +255,23 @@ fn moves((used, mounted): &(Camera, Pose), (other, other_mounted): &(Camera, Pos
     })
 }
 
+impl<F> Drive<F> {
+    /// The index of a keyframe by its number.
+    pub(crate) fn index(&self, number: u32) -> Option<usize> {
+        self.keyframes
+            .binary_search_by_key(&number, |keyframe| keyframe.number)
+            .ok()
+    }
+
+    /// The indices of an image's keyframe and camera.
+    fn image(&self, stamp: Stamp, camera: &str) -> Option<(usize, usize)> {
+        let keyframe = self
+            .keyframes
+            .binary_search_by_key(&stamp, |keyframe| keyframe.stamp);
+        Some((keyframe.ok()?, self.rig.index(camera)?))
+    }
+}
+
 impl Drive {
     fn fill(&mut self, rows: Vec<Features>) {
         let cameras = self.rig.cameras.len();
@@ -178,44 +279,82 @@ impl Drive {
             keyframe.features.images = vec![ImageFeatures::default(); cameras];
         }
         for row in rows {
-            let keyframe = self
-                .keyframes
-                .binary_search_by_key(&row.stamp, |keyframe| keyframe.stamp);
-            if let (Ok(keyframe), Some(camera)) = (keyframe, self.rig.index(&row.camera)) {
+            if let Some((keyframe, camera)) = self.image(row.stamp, &row.camera) {
                 self.keyframes[keyframe].features.images[camera] = image_features(&row);
             }
         }
     }
+}
 
-    /// The index of a keyframe by its number.
-    pub(crate) fn index(&self, number: u32) -> Option<usize> {
-        self.keyframes
-            .binary_search_by_key(&number, |keyframe| keyframe.number)
-            .ok()
+impl Drive<OnShelf> {
+    /// Notes where images are on the shelf.
+    fn find(&mut self, images: &[(usize, FeaturedImage)]) {
+        let cameras = self.rig.cameras.len();
+        for keyframe in &mut self.keyframes {
+            keyframe.features = vec![None; cameras];
+        }
+        for (row, image) in images {
+            if let Some((keyframe, camera)) = self.image(image.stamp, &image.camera) {
+                self.keyframes[keyframe].features[camera] = Some(*row);
+            }
+        }
     }
 }
 
-/// A drive with its tracks.
-pub(crate) fn with_tracks(drive: &Drive, tracks: Vec<DriveTrack>) -> places::Drive<'_> {
+impl<E> Seen<E> for Drive {
+    fn features(&self, keyframe: usize) -> Result<Cow<'_, KeyframeFeatures>, E> {
+        let keyframe = self.keyframes.get(keyframe);
+        let features = keyframe.map(|keyframe| Cow::Borrowed(&keyframe.features));
+        Ok(features.unwrap_or_default())
+    }
+}
+
+/// What the cameras of a drive saw, fetched when it is looked at.
+pub(crate) struct FromShelf<'a> {
+    /// The drive.
+    pub(crate) drive: &'a Drive<OnShelf>,
+    /// The shelf that its keyframes name rows of.
+    pub(crate) features: &'a Shelved<Features>,
+}
+
+impl Seen<Fault> for FromShelf<'_> {
+    fn features(&self, keyframe: usize) -> Result<Cow<'_, KeyframeFeatures>, Fault> {
+        let keyframe = self.drive.keyframes.get(keyframe);
+        let rows = keyframe.into_iter().flat_map(|found| &found.features);
+        let images = rows.map(|row| match row {
+            Some(row) => self.features.row(*row).map(|row| image_features(&row)),
+            None => Ok(ImageFeatures::default()),
+        });
+        let images = images.collect::<Result<_, Fault>>()?;
+        Ok(Cow::Owned(KeyframeFeatures { images }))
+    }
+}
+
+/// A drive with its tracks, and where what its cameras saw is.
+pub(crate) fn with_tracks<'a, F>(
+    drive: &'a Drive<F>,
+    seen: &'a dyn Seen<Fault>,
+    tracks: Vec<DriveTrack>,
+) -> places::Drive<'a, Fault> {
     let keyframes = drive
         .keyframes
         .iter()
         .map(|keyframe| places::DriveKeyframe {
             stamp: keyframe.stamp.0,
             odom_from_vehicle: keyframe.odom_from_vehicle,
-            features: &keyframe.features,
         });
     places::Drive {
         rig: &drive.rig,
         keyframes: keyframes.collect(),
+        seen,
         tracks,
     }
 }
 
 /// Tracks by session, with keyframes by index. A track of a camera that cannot be used is left out.
-pub(crate) fn tracks(
+pub(crate) fn tracks<F>(
     rows: Vec<Track>,
-    drives: &BTreeMap<String, Drive>,
+    drives: &BTreeMap<String, Drive<F>>,
     emit: &mut Emit<'_>,
 ) -> BTreeMap<String, Vec<DriveTrack>> {
     let mut tracks: BTreeMap<String, Vec<DriveTrack>> = BTreeMap::new();
@@ -236,12 +375,12 @@ pub(crate) fn tracks(
     tracks
 }
 
-fn camera(rig: &rig::Rig, row: &Features, vehicle: &VehicleFrame) -> Result<RigCamera, Reason> {
-    let name = frame(&row.camera);
-    let calibration = rig.calibration(name, row.stamp)?;
+fn camera(rig: &rig::Rig, shot: &Shot<'_>, vehicle: &VehicleFrame) -> Result<RigCamera, Reason> {
+    let name = frame(shot.camera);
+    let calibration = rig.calibration(name, shot.stamp)?;
     Ok(RigCamera {
-        name: row.camera.clone(),
-        camera: rig::camera(calibration, [row.width, row.height])?,
+        name: shot.camera.to_owned(),
+        camera: rig::camera(calibration, shot.size)?,
         vehicle_from_camera: rig.vehicle_from_camera(vehicle.name(), calibration)?,
     })
 }

@@ -6,7 +6,9 @@ use evermap_algorithms::metric_map::places::{self, Loop, LoopOptions};
 use evermap_contract::{Emit, Fault, Key, Operator, Port, Reach, Sides, Work};
 use evermap_schemas::layers::{Features, Keyframe, LoopClosure, Track};
 
-use crate::inputs::drive::{Drive, drives, tracks, with_tracks};
+use crate::inputs::drive::{
+    Drive, FeaturedImage, FromShelf, OnShelf, drives_on_shelf, tracks, with_tracks,
+};
 use crate::inputs::rig::{self, OfVehicle};
 
 /// See the module's page.
@@ -22,7 +24,7 @@ impl Operator for LoopClosures {
     fn work() -> Work<Self::Params> {
         let keyframes = Port::site::<Keyframe>("keyframes");
         let mut sides = vec![
-            Port::site::<Features>("features"),
+            Port::site::<Features>("features").shelved(),
             Port::site::<Track>("tracks"),
             Port::site::<LoopClosure>("previous").optional(),
         ];
@@ -38,18 +40,28 @@ fn loop_closures(
     emit: &mut Emit<'_>,
 ) -> Result<(), Fault> {
     let site = keyframes[0].site.clone();
-    let features: Vec<Features> = sides.take("features")?;
-    let new: BTreeSet<String> = features.iter().map(|row| row.session.clone()).collect();
+    let images: Vec<FeaturedImage> = sides.rows("features")?;
+    let new: BTreeSet<String> = images.iter().map(|row| row.session.clone()).collect();
     emit.rows(known(sides.take("previous")?, &keyframes, &new))?;
     keyframes.retain(|row| new.contains(&row.session));
-    let drives = drives(keyframes, features, &sides, &params.vehicle, emit)?;
+    let drives = drives_on_shelf(keyframes, images, &sides, &params.vehicle, emit)?;
     let mut tracks = tracks(sides.take("tracks")?, &drives, emit);
-    let searched: Vec<places::Drive<'_>> = drives
+    let features = sides.shelved("features")?;
+    let seen = drives.values().map(|drive| FromShelf {
+        drive,
+        features: &features,
+    });
+    let seen: Vec<FromShelf<'_>> = seen.collect();
+    let searched: Vec<places::Drive<'_, Fault>> = drives
         .iter()
-        .map(|(session, drive)| with_tracks(drive, tracks.remove(session).unwrap_or_default()))
+        .zip(&seen)
+        .map(|((session, drive), seen)| {
+            let tracks = tracks.remove(session).unwrap_or_default();
+            with_tracks(drive, seen, tracks)
+        })
         .collect();
-    let found = places::loops(&searched, &params.options);
-    let drives: Vec<(&String, &Drive)> = drives.iter().collect();
+    let found = places::loops(&searched, &params.options)?;
+    let drives: Vec<(&String, &Drive<OnShelf>)> = drives.iter().collect();
     let rows = found.iter().map(|found| row(&site, found, &drives));
     emit.rows(rows.flatten().collect())
 }
@@ -66,7 +78,7 @@ fn known(
     previous
 }
 
-fn row(site: &str, found: &Loop, drives: &[(&String, &Drive)]) -> Option<LoopClosure> {
+fn row(site: &str, found: &Loop, drives: &[(&String, &Drive<OnShelf>)]) -> Option<LoopClosure> {
     let keyframe = |(drive, keyframe): (usize, usize)| {
         let (session, drive) = *drives.get(drive)?;
         Some((session.clone(), drive.keyframes.get(keyframe)?))

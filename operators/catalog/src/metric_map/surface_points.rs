@@ -52,9 +52,9 @@ fn points(
     let Some(drive) = drives.get(&session) else {
         return Ok(());
     };
-    let drive = with_tracks(drive, tracks.remove(&session).unwrap_or_default());
+    let drive = with_tracks(drive, drive, tracks.remove(&session).unwrap_or_default());
     let stamp = |keyframe: usize| evermap_schemas::Stamp(drive.keyframes[keyframe].stamp);
-    let found = surface_points(&drive, &params.options);
+    let found = surface_points(&drive, &params.options)?;
     let row = |(point, found): (u32, &evermap_algorithms::metric_map::places::SurfacePoint)| {
         SurfacePoint {
             site: site.clone(),

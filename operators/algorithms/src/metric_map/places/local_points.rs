@@ -3,7 +3,7 @@
 use nalgebra::{Matrix3, Vector3};
 use rayon::prelude::*;
 
-use super::drive::{DriveTrack, Surveyed};
+use super::drive::{Bearing, DriveTrack, Surveyed};
 use crate::geometry::pose::Pose;
 
 /// Rounds of triangulation: the first finds the ranges that weigh the second.
@@ -45,11 +45,14 @@ pub(super) struct Ray {
 }
 
 /// For each keyframe of a drive its points, by camera and feature.
-pub(super) fn local_points(drive: &Surveyed<'_>, limits: &PointLimits) -> Vec<Vec<LocalPoint>> {
-    let tracks = &drive.drive.tracks;
+pub(super) fn local_points<E: Send>(
+    drive: &Surveyed<'_, E>,
+    limits: &PointLimits,
+) -> Result<Vec<Vec<LocalPoint>>, E> {
+    let bearings = drive.bearings()?;
+    let tracks = drive.drive.tracks.par_iter().zip(&bearings);
     let found: Vec<Vec<(usize, LocalPoint)>> = tracks
-        .par_iter()
-        .map(|track| of_track(drive, track, limits))
+        .map(|(track, bearings)| of_track(drive, track, bearings, limits))
         .collect();
     let mut points = vec![Vec::new(); drive.drive.keyframes.len()];
     for (keyframe, point) in found.into_iter().flatten() {
@@ -62,15 +65,16 @@ pub(super) fn local_points(drive: &Surveyed<'_>, limits: &PointLimits) -> Vec<Ve
             points.dedup_by_key(|point| (point.camera, point.feature));
             points.shrink_to_fit();
         });
-    points
+    Ok(points)
 }
 
-fn of_track(
-    drive: &Surveyed<'_>,
+fn of_track<E>(
+    drive: &Surveyed<'_, E>,
     track: &DriveTrack,
+    bearings: &[Option<Bearing>],
     limits: &PointLimits,
 ) -> Vec<(usize, LocalPoint)> {
-    let rays = rays(drive, track);
+    let rays = rays(drive, track, bearings);
     let mut found = Vec::with_capacity(rays.len());
     let mut last: Option<(std::ops::Range<usize>, Option<Triangulated>)> = None;
     for ray in &rays {
@@ -99,14 +103,18 @@ fn of_track(
     found
 }
 
-/// The track's sightings that have a ray, by keyframe.
-pub(super) fn rays(drive: &Surveyed<'_>, track: &DriveTrack) -> Vec<Ray> {
+/// The track's sightings that have a ray, by keyframe; given where each is seen.
+pub(super) fn rays<E>(
+    drive: &Surveyed<'_, E>,
+    track: &DriveTrack,
+    bearings: &[Option<Bearing>],
+) -> Vec<Ray> {
     let Some(mount) = drive.mounts.get(track.camera) else {
         return Vec::new();
     };
-    let ray = |(keyframe, feature): &(u32, u32)| {
+    let ray = |((keyframe, feature), bearing): (&(u32, u32), &Option<Bearing>)| {
         let index = *keyframe as usize;
-        let bearing = drive.bearing(index, track.camera, *feature as usize)?;
+        let bearing = (*bearing)?;
         let odom_from_camera: Pose = drive.drive.keyframes[index]
             .odom_from_vehicle
             .compose(mount);
@@ -118,7 +126,7 @@ pub(super) fn rays(drive: &Surveyed<'_>, track: &DriveTrack) -> Vec<Ray> {
             variance: f64::from(bearing.sigma_rad).powi(2),
         })
     };
-    let mut rays: Vec<Ray> = track.points.iter().filter_map(ray).collect();
+    let mut rays: Vec<Ray> = track.points.iter().zip(bearings).filter_map(ray).collect();
     rays.sort_by_key(|ray| ray.keyframe);
     rays.dedup_by_key(|ray| ray.keyframe);
     rays

@@ -5,14 +5,14 @@ use rayon::prelude::*;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::drive::{Drive, Surveyed};
+use super::drive::{Drive, Surveyed, View};
 use super::index::PlaceIndex;
 use super::local_points::{LocalPoint, PointLimits, local_points};
-use super::verification::{KeyframePoints, Verified, verified};
+use super::verification::{KeyframePoints, verified};
 use super::vocabulary::{Bag, Vocabulary, VocabularyOptions};
 use crate::geometry::pose::Pose;
 use crate::geometry::resection::ResectionOptions;
-use crate::metric_map::features::FeatureNoise;
+use crate::metric_map::features::{Descriptor, FeatureNoise, KeyframeFeatures, Words, words};
 use crate::metric_map::matching::MatchLimits;
 use crate::metric_map::odometry::OdometryScale;
 
@@ -128,17 +128,25 @@ impl Loop {
 
 /// The loops from each keyframe to earlier ones, of its own drive and of others; drives that began earlier count as
 /// earlier as a whole. Ordered by the later keyframe; to one keyframe the best first.
-pub fn loops(drives: &[Drive<'_>], options: &LoopOptions) -> Vec<Loop> {
-    let site = Site::new(drives, options);
-    let each = site.documents.par_iter().enumerate();
-    each.flat_map_iter(|(document, _)| site.closed(document))
-        .collect()
+///
+/// What is compared is all that is held of what cameras saw: features are looked at keyframe by keyframe, four times and
+/// once for each keyframe that they are compared with.
+///
+/// # Errors
+/// Why features cannot be fetched.
+pub fn loops<E: Send>(drives: &[Drive<'_, E>], options: &LoopOptions) -> Result<Vec<Loop>, E> {
+    let site = Site::new(drives, options)?;
+    let each = (0..site.documents.len()).into_par_iter();
+    let found: Vec<Vec<Loop>> = each
+        .map(|document| site.closed(document))
+        .collect::<Result<_, E>>()?;
+    Ok(found.into_iter().flatten().collect())
 }
 
 /// All drives of a site, with what is worked out once. A document is a keyframe, in the order driven.
-struct Site<'a> {
+struct Site<'a, E> {
     options: &'a LoopOptions,
-    drives: Vec<Surveyed<'a>>,
+    drives: Vec<Surveyed<'a, E>>,
     points: Vec<Vec<Vec<LocalPoint>>>,
     /// Drive and keyframe.
     documents: Vec<(usize, usize)>,
@@ -148,8 +156,8 @@ struct Site<'a> {
     index: PlaceIndex,
 }
 
-impl<'a> Site<'a> {
-    fn new(drives: &'a [Drive<'a>], options: &'a LoopOptions) -> Self {
+impl<'a, E: Send> Site<'a, E> {
+    fn new(drives: &'a [Drive<'a, E>], options: &'a LoopOptions) -> Result<Self, E> {
         let surveyed: Vec<_> = drives
             .iter()
             .map(|drive| Surveyed::new(drive, options.features.sigma_px))
@@ -161,21 +169,14 @@ impl<'a> Site<'a> {
         let points = surveyed
             .iter()
             .map(|drive| local_points(drive, &limits))
-            .collect();
+            .collect::<Result<_, E>>()?;
         let (documents, first) = documents(drives);
-        let descriptors = |(drive, keyframe): &(usize, usize)| {
-            let images = &drives[*drive].keyframes[*keyframe].features.images;
-            let features = images.iter().flat_map(|image| &image.features);
-            features.map(|feature| &feature.descriptor)
-        };
-        let all: Vec<_> = documents.iter().flat_map(descriptors).collect();
-        let vocabulary = Vocabulary::train(all.into_iter(), &options.vocabulary);
-        let bags: Vec<Bag> = documents
-            .par_iter()
-            .map(|document| vocabulary.bag(descriptors(document)))
-            .collect();
+        let vocabulary = vocabulary(drives, &documents, &options.vocabulary)?;
+        let bags = of_each(drives, &documents, |_, features| {
+            vocabulary.bag(descriptors(features))
+        })?;
         let index = PlaceIndex::new(vocabulary.words(), &bags);
-        Self {
+        Ok(Self {
             options,
             drives: surveyed,
             points,
@@ -183,14 +184,20 @@ impl<'a> Site<'a> {
             first,
             bags,
             index,
-        }
+        })
     }
 
-    fn view(&self, document: usize) -> KeyframePoints<'_> {
+    fn view(&self, document: usize) -> Result<View<'a>, E> {
+        let (drive, keyframe) = self.documents[document];
+        self.drives[drive].view(keyframe)
+    }
+
+    /// A document that is seen so, with its points.
+    fn with_points<'v>(&'v self, document: usize, view: &'v View<'v>) -> KeyframePoints<'v> {
         let (drive, keyframe) = self.documents[document];
         KeyframePoints {
-            drive: &self.drives[drive],
-            keyframe,
+            mounts: &self.drives[drive].mounts,
+            view,
             points: &self.points[drive][keyframe],
         }
     }
@@ -240,13 +247,18 @@ impl<'a> Site<'a> {
         chosen
     }
 
-    fn closed(&self, later: usize) -> Vec<Loop> {
+    fn closed(&self, later: usize) -> Result<Vec<Loop>, E> {
         let mut found: Vec<Loop> = Vec::new();
-        for earlier in self.candidates(later) {
+        let candidates = self.candidates(later);
+        if candidates.is_empty() {
+            return Ok(found);
+        }
+        let view = self.view(later)?;
+        for earlier in candidates {
             if found.len() >= self.options.edges {
                 break;
             }
-            let Some(first) = self.loop_between(earlier, later, None) else {
+            let Some(first) = self.loop_between(earlier, later, &view, None)? else {
                 continue;
             };
             let beside = self.beside(earlier, &first);
@@ -254,29 +266,37 @@ impl<'a> Site<'a> {
             if let Some((document, guess)) = beside
                 && found.len() < self.options.edges
             {
-                found.extend(self.loop_between(document, later, Some(&guess)));
+                found.extend(self.loop_between(document, later, &view, Some(&guess))?);
             }
         }
         found.sort_by(|a, b| b.inliers.cmp(&a.inliers).then(a.earlier.cmp(&b.earlier)));
-        found
+        Ok(found)
     }
 
-    fn loop_between(&self, earlier: usize, later: usize, guess: Option<&Pose>) -> Option<Loop> {
-        let Verified {
-            earlier_from_later,
-            covariance,
-            matches,
-            inliers,
-        } = verified(self.view(earlier), self.view(later), guess, self.options)?;
-        let found = Loop {
+    /// The loop from one document to another, which is seen so.
+    fn loop_between(
+        &self,
+        earlier: usize,
+        later: usize,
+        seen: &View<'_>,
+        guess: Option<&Pose>,
+    ) -> Result<Option<Loop>, E> {
+        let view = self.view(earlier)?;
+        let verified = verified(
+            self.with_points(earlier, &view),
+            self.with_points(later, seen),
+            guess,
+            self.options,
+        );
+        let found = verified.map(|verified| Loop {
             later: self.documents[later],
             earlier: self.documents[earlier],
-            earlier_from_later,
-            covariance,
-            matches,
-            inliers,
-        };
-        (found.sigma_m() <= self.options.max_sigma_m).then_some(found)
+            earlier_from_later: verified.earlier_from_later,
+            covariance: verified.covariance,
+            matches: verified.matches,
+            inliers: verified.inliers,
+        });
+        Ok(found.filter(|found| found.sigma_m() <= self.options.max_sigma_m))
     }
 
     /// The keyframe of the same place, but not the same spot, that the later one stood nearest to; and how.
@@ -304,7 +324,7 @@ impl<'a> Site<'a> {
 }
 
 /// Keyframes by the time their drive began and their own, and the first of each drive.
-fn documents(drives: &[Drive<'_>]) -> (Vec<(usize, usize)>, Vec<usize>) {
+fn documents<E>(drives: &[Drive<'_, E>]) -> (Vec<(usize, usize)>, Vec<usize>) {
     let mut order: Vec<usize> = (0..drives.len()).collect();
     let began = |drive: &usize| {
         drives[*drive]
@@ -320,4 +340,50 @@ fn documents(drives: &[Drive<'_>]) -> (Vec<(usize, usize)>, Vec<usize>) {
         documents.extend((0..drives[drive].keyframes.len()).map(|keyframe| (drive, keyframe)));
     }
     (documents, first)
+}
+
+/// What is made of each document and its features.
+fn of_each<E: Send, T: Send>(
+    drives: &[Drive<'_, E>],
+    documents: &[(usize, usize)],
+    make: impl Fn(usize, &KeyframeFeatures) -> T + Sync,
+) -> Result<Vec<T>, E> {
+    let each = documents.par_iter().enumerate();
+    let made = each.map(|(document, (drive, keyframe))| -> Result<T, E> {
+        let features = drives[*drive].seen.features(*keyframe)?;
+        Ok(make(document, &features))
+    });
+    made.collect()
+}
+
+fn descriptors(features: &KeyframeFeatures) -> impl Iterator<Item = &Descriptor> {
+    let all = features.images.iter().flat_map(|image| &image.features);
+    all.map(|feature| &feature.descriptor)
+}
+
+/// The vocabulary of all documents, as [`Vocabulary::train`] makes it of all their descriptors.
+pub(super) fn vocabulary<E: Send>(
+    drives: &[Drive<'_, E>],
+    documents: &[(usize, usize)],
+    options: &VocabularyOptions,
+) -> Result<Vocabulary, E> {
+    let counts = of_each(drives, documents, |_, features| {
+        descriptors(features).count()
+    })?;
+    let mut all = 0;
+    let before: Vec<usize> = counts
+        .iter()
+        .map(|count| {
+            all += count;
+            all - count
+        })
+        .collect();
+    let step = options.step(all);
+    let sample = of_each(drives, documents, |document, features| {
+        // How far behind the last one that was taken the document begins.
+        let behind = before[document] % step;
+        let taken = descriptors(features).skip((step - behind) % step);
+        taken.step_by(step).map(words).collect::<Vec<Words>>()
+    })?;
+    Ok(Vocabulary::of_sample(&sample.concat(), options))
 }

@@ -8,7 +8,7 @@ use rayon::prelude::*;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::drive::{Drive, DriveTrack, Surveyed};
+use super::drive::{Bearing, Drive, DriveTrack, Surveyed};
 use super::local_points::{PointLimits, rays, triangulated};
 use crate::metric_map::features::FeatureNoise;
 
@@ -48,23 +48,31 @@ pub struct SurfacePoint {
 }
 
 /// The points of a drive whose keyframes' `odom_from_vehicle` are poses in the map, by track.
-pub fn surface_points(drive: &Drive<'_>, options: &SurfaceOptions) -> Vec<SurfacePoint> {
+///
+/// # Errors
+/// Why what its cameras saw cannot be fetched.
+pub fn surface_points<E: Send>(
+    drive: &Drive<'_, E>,
+    options: &SurfaceOptions,
+) -> Result<Vec<SurfacePoint>, E> {
     let surveyed = Surveyed::new(drive, options.features.sigma_px);
-    let tracks = drive.tracks.par_iter();
-    let found = tracks.filter_map(|track| point(&surveyed, track, options));
-    found.collect()
+    let bearings = surveyed.bearings()?;
+    let tracks = drive.tracks.par_iter().zip(&bearings);
+    let found = tracks.filter_map(|(track, bearings)| point(&surveyed, track, bearings, options));
+    Ok(found.collect())
 }
 
-fn point(
-    drive: &Surveyed<'_>,
+fn point<E>(
+    drive: &Surveyed<'_, E>,
     track: &DriveTrack,
+    bearings: &[Option<Bearing>],
     options: &SurfaceOptions,
 ) -> Option<SurfacePoint> {
     let limits = PointLimits {
         window_m: f64::INFINITY,
         max_relative_sigma: f64::INFINITY,
     };
-    let rays = rays(drive, track);
+    let rays = rays(drive, track, bearings);
     let point = triangulated(&rays, &limits)?;
     let sigma_m = point.covariance.trace().sqrt();
     let away = |origin: &Vector3<f64>| (point.position - origin).norm();

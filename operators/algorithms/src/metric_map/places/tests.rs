@@ -6,7 +6,9 @@ use crate::geometry::rig::{Rig, RigCamera};
 use crate::metric_map::features::{Descriptor, Feature, ImageFeatures, KeyframeFeatures};
 use nalgebra::{UnitQuaternion, Vector3};
 use proptest::prelude::*;
+use std::borrow::Cow;
 use std::collections::BTreeMap;
+use std::convert::Infallible;
 use std::f64::consts::{FRAC_PI_2, TAU};
 
 /// Numbers that look random.
@@ -169,18 +171,37 @@ impl Simulated {
         self
     }
 
-    fn drive<'a>(&'a self, rig: &'a Rig) -> Drive<'a> {
-        let each = self.odometry.iter().zip(&self.features).zip(0..);
-        let keyframes = each.map(|((pose, features), i)| DriveKeyframe {
+    fn drive<'a>(&'a self, rig: &'a Rig) -> Drive<'a, Infallible> {
+        self.seen_by(rig, &self.features)
+    }
+
+    fn seen_by<'a, E>(&'a self, rig: &'a Rig, seen: &'a dyn Seen<E>) -> Drive<'a, E> {
+        let keyframes = self.odometry.iter().zip(0..);
+        let keyframes = keyframes.map(|(pose, i)| DriveKeyframe {
             stamp: self.first_stamp + i,
             odom_from_vehicle: *pose,
-            features,
         });
         Drive {
             rig,
             keyframes: keyframes.collect(),
+            seen,
             tracks: self.tracks.clone(),
         }
+    }
+}
+
+/// What cameras saw, copied each time that it is looked at, but for one keyframe.
+struct Copied<'a> {
+    features: &'a [KeyframeFeatures],
+    missing: Option<usize>,
+}
+
+impl Seen<String> for Copied<'_> {
+    fn features(&self, keyframe: usize) -> Result<Cow<'_, KeyframeFeatures>, String> {
+        if self.missing == Some(keyframe) {
+            return Err(format!("no features of {keyframe}"));
+        }
+        Ok(Cow::Owned(self.features[keyframe].clone()))
     }
 }
 
@@ -202,7 +223,7 @@ fn a_second_round_and_another_drive_are_recognised() {
     let drives = [&first, &second];
     // The later drive first: what counts is when they began.
     let given = [first.drive(&rig), second.drive(&rig)];
-    let found = loops(&given, &LoopOptions::default());
+    let found = loops(&given, &LoopOptions::default()).unwrap();
     for found in &found {
         let (metres, radians) = off(found, &drives);
         assert!(
@@ -225,7 +246,7 @@ fn a_second_round_and_another_drive_are_recognised() {
     assert!(rounds >= 95, "{rounds} of 99");
     assert!(other >= 60, "{other} of 65");
     let swapped = [second.drive(&rig), first.drive(&rig)];
-    let again = loops(&swapped, &LoopOptions::default());
+    let again = loops(&swapped, &LoopOptions::default()).unwrap();
     assert_eq!(again.len(), found.len());
     assert!(
         again
@@ -245,19 +266,20 @@ fn another_place_is_none() {
     let found = loops(
         &[first.drive(&rig), second.drive(&rig)],
         &LoopOptions::default(),
-    );
+    )
+    .unwrap();
     assert!(found.iter().all(|found| found.later.0 == found.earlier.0));
 }
 
 #[test]
 fn nothing_is_found_in_nothing() {
     let rig = rig();
-    assert!(loops(&[], &LoopOptions::default()).is_empty());
-    let empty = KeyframeFeatures::default();
+    let found = loops::<Infallible>(&[], &LoopOptions::default());
+    assert!(found.unwrap().is_empty());
+    let empty = vec![KeyframeFeatures::default(); 4];
     let keyframe = |stamp| DriveKeyframe {
         stamp,
         odom_from_vehicle: Pose::from_yaw(20.0 * stamp as f64, 0.0, 0.0),
-        features: &empty,
     };
     let tracks = vec![
         DriveTrack {
@@ -269,12 +291,77 @@ fn nothing_is_found_in_nothing() {
             points: vec![(5, 0), (9, 7)],
         },
     ];
-    let drive = Drive {
+    let drive: Drive<'_, Infallible> = Drive {
         rig: &rig,
         keyframes: (0..4).map(keyframe).collect(),
+        seen: &empty,
         tracks,
     };
-    assert!(loops(&[drive], &LoopOptions::default()).is_empty());
+    let found = loops(&[drive], &LoopOptions::default());
+    assert!(found.unwrap().is_empty());
+}
+
+#[test]
+fn features_that_are_fetched_when_they_are_looked_at_give_the_same_loops() {
+    let mut noise = Noise(7);
+    let world = World::new(&mut noise);
+    let rig = rig();
+    let driven = drive(&world, 1.2, 0.0, false, &mut noise);
+    let held = loops(&[driven.drive(&rig)], &LoopOptions::default()).unwrap();
+    assert!(!held.is_empty());
+    let copied = |missing| Copied {
+        features: &driven.features,
+        missing,
+    };
+    let (whole, torn) = (copied(None), copied(Some(100)));
+    let fetched = loops(&[driven.seen_by(&rig, &whole)], &LoopOptions::default());
+    assert_eq!(fetched.unwrap(), held);
+    let failed = loops(&[driven.seen_by(&rig, &torn)], &LoopOptions::default());
+    assert_eq!(failed.unwrap_err(), "no features of 100");
+}
+
+#[test]
+fn the_vocabulary_of_documents_is_that_of_all_their_descriptors() {
+    let mut noise = Noise(8);
+    let counts = [3, 0, 7, 1, 1, 20, 2];
+    let features: Vec<KeyframeFeatures> = counts
+        .iter()
+        .map(|count| {
+            let feature = |noise: &mut Noise| Feature {
+                pixel: [0.0; 2],
+                size_px: 8.0,
+                descriptor: noise.descriptor(),
+            };
+            let features = (0..*count).map(|_| feature(&mut noise)).collect();
+            KeyframeFeatures {
+                images: vec![ImageFeatures::default(), ImageFeatures { features }],
+            }
+        })
+        .collect();
+    let rig = Rig::default();
+    let drive: Drive<'_, Infallible> = Drive {
+        rig: &rig,
+        keyframes: Vec::new(),
+        seen: &features,
+        tracks: Vec::new(),
+    };
+    let documents: Vec<(usize, usize)> = (0..counts.len()).map(|at| (0, at)).collect();
+    let all: Vec<Descriptor> = features
+        .iter()
+        .flat_map(|features| &features.images)
+        .flat_map(|image| &image.features)
+        .map(|feature| feature.descriptor)
+        .collect();
+    // All, every second, third … and just the first.
+    for max_training in [100, 17, 12, 5, 2, 1] {
+        let options = VocabularyOptions {
+            max_training,
+            leaf: 2,
+            ..Default::default()
+        };
+        let found = super::loops::vocabulary(std::slice::from_ref(&drive), &documents, &options);
+        assert_eq!(found.unwrap(), Vocabulary::train(all.iter(), &options));
+    }
 }
 
 proptest! {

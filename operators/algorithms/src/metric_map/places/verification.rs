@@ -2,7 +2,7 @@
 
 use nalgebra::{Matrix6, UnitQuaternion};
 
-use super::drive::Surveyed;
+use super::drive::View;
 use super::local_points::LocalPoint;
 use super::loops::LoopOptions;
 use crate::geometry::lie::{se3, so3};
@@ -22,8 +22,9 @@ const MAX_DISAGREEMENT: f64 = 22.5;
 /// A keyframe with its points.
 #[derive(Clone, Copy)]
 pub(super) struct KeyframePoints<'a> {
-    pub(super) drive: &'a Surveyed<'a>,
-    pub(super) keyframe: usize,
+    /// `vehicle_from_camera`, in the rig's order.
+    pub(super) mounts: &'a [Pose],
+    pub(super) view: &'a View<'a>,
     pub(super) points: &'a [LocalPoint],
 }
 
@@ -47,20 +48,16 @@ struct Pair<'a> {
 
 impl KeyframePoints<'_> {
     fn descriptor(&self, camera: usize, feature: usize) -> Option<&Descriptor> {
-        let images = &self.drive.drive.keyframes[self.keyframe].features.images;
+        let images = &self.view.features.images;
         Some(&images.get(camera)?.features.get(feature)?.descriptor)
     }
 
     fn images(&self) -> usize {
-        self.drive.drive.keyframes[self.keyframe]
-            .features
-            .images
-            .len()
+        self.view.features.images.len()
     }
 
     fn all(&self, camera: usize) -> Descriptors {
-        let images = &self.drive.drive.keyframes[self.keyframe].features.images;
-        images[camera]
+        self.view.features.images[camera]
             .features
             .iter()
             .map(|feature| &feature.descriptor)
@@ -74,7 +71,7 @@ impl KeyframePoints<'_> {
         point: &LocalPoint,
         distance: u32,
     ) -> Option<Correspondence> {
-        let bearing = self.drive.bearing(self.keyframe, camera, feature)?;
+        let bearing = self.view.bearing(camera, feature)?;
         Some(Correspondence {
             camera,
             bearing: bearing.direction.cast(),
@@ -117,8 +114,8 @@ pub(super) fn verified(
         })
         .collect();
     let found = match guess {
-        Some(guess) => refine(&later.drive.mounts, &forward, guess, &resection)?,
-        None => resect(&later.drive.mounts, &forward, &resection)?,
+        Some(guess) => refine(later.mounts, &forward, guess, &resection)?,
+        None => resect(later.mounts, &forward, &resection)?,
     };
     if sectors(&later, &forward, &found) < options.min_sectors {
         return None;
@@ -176,7 +173,7 @@ fn sectors(later: &KeyframePoints<'_>, given: &[Correspondence], found: &Resecti
     let mut hit = [false; SECTORS];
     for index in &found.inliers {
         let given = &given[*index];
-        let direction = later.drive.mounts[given.camera].rotate(&given.bearing);
+        let direction = later.mounts[given.camera].rotate(&given.bearing);
         let turn = direction.y.atan2(direction.x) / std::f64::consts::TAU + 0.5;
         hit[((turn * SECTORS as f64) as usize).min(SECTORS - 1)] = true;
     }
@@ -200,7 +197,7 @@ fn confirmed(
         min_inliers: 6,
         ..options.resection.clone()
     };
-    let looked = refine(&earlier.drive.mounts, back, &forward.inverse(), &resection)?;
+    let looked = refine(earlier.mounts, back, &forward.inverse(), &resection)?;
     let backward = looked.world_from_vehicle.inverse();
     let backward_covariance = inflated(&inverted(&looked), &backward, options);
     fused(

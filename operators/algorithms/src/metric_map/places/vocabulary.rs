@@ -45,6 +45,13 @@ impl Default for VocabularyOptions {
     }
 }
 
+impl VocabularyOptions {
+    /// Of so many descriptors one in how many is taken to train with.
+    pub(super) fn step(&self, descriptors: usize) -> usize {
+        descriptors.div_ceil(self.max_training.max(1)).max(1)
+    }
+}
+
 /// Descriptors that look alike share a word. A tree of k-majority clusters (Grana et al.: A Fast Approach for
 /// Integrating ORB Descriptors in the Bag of Words Model, 2013; Nistér, Stewénius: Scalable Recognition with a
 /// Vocabulary Tree, 2006).
@@ -77,11 +84,13 @@ impl Vocabulary {
         descriptors: impl ExactSizeIterator<Item = &'a Descriptor>,
         options: &VocabularyOptions,
     ) -> Self {
-        let step = descriptors
-            .len()
-            .div_ceil(options.max_training.max(1))
-            .max(1);
-        let sample: Vec<Words> = descriptors.step_by(step).map(words).collect();
+        let step = options.step(descriptors.len());
+        let sample = descriptors.step_by(step).map(words);
+        Self::of_sample(&sample.collect::<Vec<Words>>(), options)
+    }
+
+    /// Trains on descriptors that were chosen: of all, in their order, every [`VocabularyOptions::step`]th from the first on.
+    pub(super) fn of_sample(sample: &[Words], options: &VocabularyOptions) -> Self {
         let all: Vec<u32> = (0..sample.len() as u32).collect();
         let mut vocabulary = Self::default();
         vocabulary.nodes.push(Node {
@@ -89,7 +98,7 @@ impl Vocabulary {
             children: 0..0,
             word: 0,
         });
-        vocabulary.grow(0, all, &sample, options, options.max_depth);
+        vocabulary.grow(0, all, sample, options, options.max_depth);
         vocabulary
     }
 
