@@ -132,6 +132,39 @@ fn a_calibration_that_is_off_by_half_a_pixel_costs_centimetres() {
     assert!(error.position_m.rmse <= 0.10);
 }
 
+/// The loop closures of a drive, and nothing that is made of them.
+const JUST_LOOPS: &str = "
+plan: just_loops
+extends: metric_map
+drop:
+  [graph_poses, adjusted_poses, landmarks, map_frames, frame_poses, poses, antenna_positions, georeference]
+";
+
+#[test]
+fn loops_are_the_same_where_the_features_do_not_fit_into_memory() {
+    let folder = tempfile::tempdir().unwrap();
+    let first = &FirstDrive::get().map;
+    let plan = folder.path().join("just_loops.yaml");
+    std::fs::write(&plan, JUST_LOOPS).unwrap();
+    let session = first.parent().unwrap().join("world_initial/initial.mcap");
+    // What loops are made from is there; they are made anew. Gives them, and whether a table was in a file.
+    let made = |name: &str, memory: &str| {
+        let map = copy(first, folder.path(), name);
+        let anew = ["--set", "loop_closures.window_m=2.5", "--memory", memory];
+        let more = [&FEWER[..], &anew, &["--sessions", text(&session)]].concat();
+        let mut command = plan_command(text(&plan), &map, "park", &more);
+        let ran = command.env("EVERMAP_LOG", "evermap_engine=debug").output();
+        let told = evermap_tests::Finished::from(ran.unwrap()).expect(0).stderr;
+        let of_sides: Vec<&str> = told.split("side_file_bytes=").skip(1).collect();
+        assert!(!of_sides.is_empty(), "{told}");
+        let in_file = of_sides.iter().any(|bytes| !bytes.starts_with('0'));
+        (rows(&map, Some(2), "SELECT * FROM loop_closures"), in_file)
+    };
+    let (held, in_file) = made("held", "4GiB");
+    assert!(!held.is_empty() && !in_file);
+    assert_eq!(made("fetched", "16MiB"), (held, true));
+}
+
 /// One loop closure in five says that a keyframe stands where another one stood.
 const FALSE_LOOPS: &str = "
 plan: disturbed
