@@ -50,6 +50,11 @@ impl Entry {
                 .pixels
                 .map(|column| format!(" with the images of `{column}`"));
             let images = images.unwrap_or_default();
+            let fetched = if port.shelved {
+                ", fetched one at a time"
+            } else {
+                ""
+            };
             let optional = if port.optional { "; optional" } else { "" };
             let needed = if port.needed {
                 "; where there are none, there is nothing to do"
@@ -58,7 +63,7 @@ impl Entry {
             };
             let _ = writeln!(
                 text,
-                "| `{}` | `{}`{images} | {much}{optional}{needed} |",
+                "| `{}` | `{}`{images} | {much}{fetched}{optional}{needed} |",
                 port.name, port.layer.name
             );
         }

@@ -301,14 +301,6 @@ impl Drive<OnShelf> {
     }
 }
 
-impl<E> Seen<E> for Drive {
-    fn features(&self, keyframe: usize) -> Result<Cow<'_, KeyframeFeatures>, E> {
-        let keyframe = self.keyframes.get(keyframe);
-        let features = keyframe.map(|keyframe| Cow::Borrowed(&keyframe.features));
-        Ok(features.unwrap_or_default())
-    }
-}
-
 /// What the cameras of a drive saw, fetched when it is looked at.
 pub(crate) struct FromShelf<'a> {
     /// The drive.
@@ -330,31 +322,27 @@ impl Seen<Fault> for FromShelf<'_> {
     }
 }
 
-/// A drive with its tracks, and where what its cameras saw is.
-pub(crate) fn with_tracks<'a, F>(
-    drive: &'a Drive<F>,
-    seen: &'a dyn Seen<Fault>,
-    tracks: Vec<DriveTrack>,
-) -> places::Drive<'a, Fault> {
-    let keyframes = drive
-        .keyframes
-        .iter()
-        .map(|keyframe| places::DriveKeyframe {
+impl FromShelf<'_> {
+    /// The drive with its tracks.
+    pub(crate) fn with_tracks(&self, tracks: Vec<DriveTrack>) -> places::Drive<'_, Fault> {
+        let keyframes = self.drive.keyframes.iter();
+        let keyframes = keyframes.map(|keyframe| places::DriveKeyframe {
             stamp: keyframe.stamp.0,
             odom_from_vehicle: keyframe.odom_from_vehicle,
         });
-    places::Drive {
-        rig: &drive.rig,
-        keyframes: keyframes.collect(),
-        seen,
-        tracks,
+        places::Drive {
+            rig: &self.drive.rig,
+            keyframes: keyframes.collect(),
+            seen: self,
+            tracks,
+        }
     }
 }
 
 /// Tracks by session, with keyframes by index. A track of a camera that cannot be used is left out.
-pub(crate) fn tracks<F>(
+pub(crate) fn tracks(
     rows: Vec<Track>,
-    drives: &BTreeMap<String, Drive<F>>,
+    drives: &BTreeMap<String, Drive<OnShelf>>,
     emit: &mut Emit<'_>,
 ) -> BTreeMap<String, Vec<DriveTrack>> {
     let mut tracks: BTreeMap<String, Vec<DriveTrack>> = BTreeMap::new();

@@ -6,9 +6,7 @@ use evermap_algorithms::metric_map::places::{self, Loop, LoopOptions};
 use evermap_contract::{Emit, Fault, Key, Operator, Port, Reach, Sides, Work};
 use evermap_schemas::layers::{Features, Keyframe, LoopClosure, Track};
 
-use crate::inputs::drive::{
-    Drive, FeaturedImage, FromShelf, OnShelf, drives_on_shelf, tracks, with_tracks,
-};
+use crate::inputs::drive::{Drive, FeaturedImage, FromShelf, OnShelf, drives_on_shelf, tracks};
 use crate::inputs::rig::{self, OfVehicle};
 
 /// See the module's page.
@@ -53,12 +51,9 @@ fn loop_closures(
     });
     let seen: Vec<FromShelf<'_>> = seen.collect();
     let searched: Vec<places::Drive<'_, Fault>> = drives
-        .iter()
+        .keys()
         .zip(&seen)
-        .map(|((session, drive), seen)| {
-            let tracks = tracks.remove(session).unwrap_or_default();
-            with_tracks(drive, seen, tracks)
-        })
+        .map(|(session, seen)| seen.with_tracks(tracks.remove(session).unwrap_or_default()))
         .collect();
     let found = places::loops(&searched, &params.options)?;
     let drives: Vec<(&String, &Drive<OnShelf>)> = drives.iter().collect();

@@ -40,14 +40,6 @@ pub trait Seen<E>: Sync {
     fn features(&self, keyframe: usize) -> Result<Cow<'_, KeyframeFeatures>, E>;
 }
 
-/// All in memory, by keyframe.
-impl<E> Seen<E> for Vec<KeyframeFeatures> {
-    fn features(&self, keyframe: usize) -> Result<Cow<'_, KeyframeFeatures>, E> {
-        let features = self.get(keyframe).map(Cow::Borrowed);
-        Ok(features.unwrap_or_default())
-    }
-}
-
 /// One point of the world, followed by one camera.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct DriveTrack {

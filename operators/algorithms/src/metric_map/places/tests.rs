@@ -190,6 +190,14 @@ impl Simulated {
     }
 }
 
+/// All in memory, by keyframe.
+impl<E> Seen<E> for Vec<KeyframeFeatures> {
+    fn features(&self, keyframe: usize) -> Result<Cow<'_, KeyframeFeatures>, E> {
+        let features = self.get(keyframe).map(Cow::Borrowed);
+        Ok(features.unwrap_or_default())
+    }
+}
+
 /// What cameras saw, copied each time that it is looked at, but for one keyframe.
 struct Copied<'a> {
     features: &'a [KeyframeFeatures],
