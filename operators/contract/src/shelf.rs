@@ -140,6 +140,7 @@ mod tests {
     #![allow(clippy::unwrap_used)]
     use super::*;
     use crate::{Key, Port, Sides};
+    use arrow::array::Array;
     use evermap_schemas::{Bytes, batch, record};
 
     record! {
