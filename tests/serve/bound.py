@@ -32,6 +32,17 @@ SAME = [
     ("SELECT count(*) FROM (SELECT 1 FROM lanes LIMIT %s OFFSET %s) AS few", [1, 0], 1),
 ]
 
+# Lists that are written as texts in a query, and answers as Postgres has them.
+LISTS = [
+    (r"""SELECT 'a, b' = ANY('{"a, b"}')""", True),
+    (r"""SELECT 'a' = ANY('{"a, b"}')""", False),
+    (r"""SELECT 'a "b" \' = SOME('{x,"a \"b\" \\"}')""", True),
+    (r"""SELECT 'b' <> ALL('{"a, b",c}')""", True),
+    (r"""SELECT '{"a, b",NULL,"NULL",it''s}'::text[]""", ["a, b", None, "NULL", "it's"]),
+    (r"""SELECT CAST('{"a, b",c}' AS TEXT[])""", ["a, b", "c"]),
+    (r"""SELECT '{1,NULL}'::int[]""", [1, None]),
+]
+
 # Conditions on lanes with a value, and the same with a literal.
 LANES = [
     ("lane > %s", 1.5, "lane > 1.5"),
@@ -77,6 +88,11 @@ def main(postgres):
             query = "SELECT site, lane FROM lanes WHERE {} ORDER BY site, lane"
             found = ask(query.format(condition), [value], binary, True)
             assert found == ask(query.format(literal)), (condition, value, found)
+    for prepare in (False, True):
+        for query, expected in LISTS:
+            found = ask(query, prepare=prepare)
+            assert found == [(expected,)], (query, found)
+        refused(lambda: ask("SELECT 1 = ANY('{{1},{2}}')", prepare=prepare), "expected a list such as {1,2}, found `{{1},{2}}`")
     lanes = ask("SELECT site, lane FROM lanes ORDER BY site, lane")
     assert lanes and {site for site, _ in lanes} != {None}
     site = lanes[0][0]

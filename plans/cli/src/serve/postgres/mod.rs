@@ -2,6 +2,7 @@
 //! said, what an answer may take. The database that a client names is the map; where one map is served, any name is.
 
 mod answering;
+mod arrays;
 mod catalog;
 mod connection;
 mod cursors;
@@ -17,6 +18,7 @@ mod parameters;
 mod postgis;
 mod spatial;
 mod startup;
+mod tokens;
 mod transactions;
 mod types;
 mod values;
@@ -130,8 +132,9 @@ impl SimpleQueryHandler for Queries {
         PgWireError: From<<C as Sink<PgWireBackendMessage>>::Error>,
     {
         let opened = self.parser.opened(client, query).await?;
+        let query = arrays::as_lists(query)?;
         let service = &opened.postgres;
-        let work = SimpleQueryHandler::do_query(service, client, query);
+        let work = SimpleQueryHandler::do_query(service, client, &query);
         let (responses, turn) = self.within(work).await?;
         let cancelled = cancelled(client).await;
         let responses = responses.into_iter();
@@ -342,7 +345,8 @@ impl QueryParser for Parser {
     {
         let opened = self.opened(client, query).await?;
         let parser = opened.postgres.query_parser();
-        let typed = parameters::as_declared(query, types);
+        let lists = arrays::as_lists(query)?;
+        let typed = parameters::as_declared(&lists, types);
         let planned = parser.parse_sql(client, &typed, types).await;
         let planned = planned.map_err(fault_in_our_words)?;
         Ok(planned.map(|(_, plan)| (noted(query, &opened), plan)))

@@ -10,6 +10,7 @@ use datafusion::common::utils::SingleRowListArrayBuilder;
 use pgwire::api::Type;
 use pgwire::error::{PgWireError, PgWireResult};
 
+use crate::serve::postgres::arrays::elements;
 use crate::serve::postgres::error;
 use crate::serve::postgres::wire::Body;
 
@@ -70,9 +71,7 @@ impl Bound<'_> {
             (true, true) => numerics(self.bytes).ok_or_else(none_of_its_type)?,
             (true, false) => one(&numeric(self.bytes).ok_or_else(none_of_its_type)?),
             (false, _) if !self.is_read_here(item.is_some(), target) => return Ok(None),
-            (false, true) => {
-                elements(self.text()?).ok_or_else(|| self.is_none("a list such as {1,2}"))?
-            }
+            (false, true) => elements(self.text()?)?,
             (false, false) if target.is_string() => one(self.text()?),
             (false, false) => one(self.text()?.trim()),
         };
@@ -114,12 +113,16 @@ impl Bound<'_> {
     }
 
     fn is_none(&self, expected: &str) -> PgWireError {
-        let text = String::from_utf8_lossy(self.bytes);
-        let told: String = text.chars().take(TOLD).collect();
-        let more = if told.len() < text.len() { "…" } else { "" };
-        let message = format!("expected {expected}, found `{told}{more}`");
-        error("ERROR", "22P02", &message)
+        found_other(&String::from_utf8_lossy(self.bytes), expected)
     }
+}
+
+/// The error for a text that is not what is expected.
+pub fn found_other(text: &str, expected: &str) -> PgWireError {
+    let told: String = text.chars().take(TOLD).collect();
+    let more = if told.len() < text.len() { "…" } else { "" };
+    let message = format!("expected {expected}, found `{told}{more}`");
+    error("ERROR", "22P02", &message)
 }
 
 /// The error for bytes that are not what they should be.
@@ -157,61 +160,6 @@ fn without_fractions(numbers: &StringArray) -> StringArray {
         _ => number.to_owned(),
     };
     numbers.iter().map(|number| number.map(short)).collect()
-}
-
-/// The elements of a list as Postgres writes one, `{a,"b, c",NULL}`; `None` where it is none, or one of lists.
-fn elements(text: &str) -> Option<StringArray> {
-    let mut letters = text.trim().strip_prefix('{')?.chars().peekable();
-    let mut found = StringBuilder::new();
-    let mut element = String::new();
-    let mut is_first = true;
-    loop {
-        while letters
-            .next_if(|letter| letter.is_ascii_whitespace())
-            .is_some()
-        {}
-        if is_first && letters.next_if_eq(&'}').is_some() {
-            break;
-        }
-        is_first = false;
-        element.clear();
-        let is_quoted = letters.next_if_eq(&'"').is_some();
-        let mut is_plain = !is_quoted;
-        // Blanks behind an element are none of it, unless they are escaped.
-        let mut length = 0;
-        while is_quoted || !matches!(letters.peek(), Some(',' | '}')) {
-            match (letters.next()?, is_quoted) {
-                ('\\', _) => {
-                    element.push(letters.next()?);
-                    (is_plain, length) = (false, element.len());
-                }
-                ('"', true) => break,
-                ('"' | '{', false) => return None,
-                (letter, _) => {
-                    element.push(letter);
-                    if is_quoted || !letter.is_ascii_whitespace() {
-                        length = element.len();
-                    }
-                }
-            }
-        }
-        element.truncate(length);
-        match is_plain {
-            true if element.is_empty() => return None,
-            true if element.eq_ignore_ascii_case("null") => found.append_null(),
-            _ => found.append_value(&element),
-        }
-        while letters
-            .next_if(|letter| letter.is_ascii_whitespace())
-            .is_some()
-        {}
-        match letters.next()? {
-            ',' => {}
-            '}' => break,
-            _ => return None,
-        }
-    }
-    letters.next().is_none().then(|| found.finish())
 }
 
 /// A `numeric` in the format of bytes as its digits: groups of four, the place of the first, a sign, and how many digits
