@@ -2,11 +2,14 @@
 
 import datetime
 import sys
+import uuid
 from decimal import Decimal
 
 import pandas
 import psycopg
 import sqlalchemy
+
+ID = uuid.UUID("0193f0a1-7e2b-7c3d-8e4f-5a6b7c8d9e0f")
 
 # What stands in a query in place of values, and the values; each answer is as Postgres has it.
 SAME = [
@@ -29,6 +32,12 @@ SAME = [
     ("SELECT CAST(9007199254740992 AS BIGINT) = %b", [Decimal(9007199254740992)], True),
     ("SELECT 2 = ANY(%s)", [[Decimal("2.5"), Decimal("1")]], False),
     ("SELECT 2 = ANY(%b)", [[Decimal("2.5"), Decimal("2")]], True),
+    ("SELECT %s", [ID], str(ID)),
+    ("SELECT %b", [ID], str(ID)),
+    ("SELECT %s", [[ID, None]], [str(ID), None]),
+    ("SELECT %b", [[ID, None]], [str(ID), None]),
+    (f"SELECT '{ID}' = %s", [ID], True),
+    (f"SELECT '{ID}' = ANY(%s)", [[ID]], True),
     ("SELECT count(*) FROM (SELECT 1 FROM lanes LIMIT %s OFFSET %s) AS few", [1, 0], 1),
 ]
 

@@ -61,7 +61,8 @@ fn written(declared: &Type) -> Option<&'static str> {
         Type::INT8 => "BIGINT",
         Type::FLOAT4 => "REAL",
         Type::FLOAT8 | Type::NUMERIC => "DOUBLE PRECISION",
-        Type::TEXT | Type::VARCHAR => "TEXT",
+        // A map has none but as texts.
+        Type::TEXT | Type::VARCHAR | Type::UUID => "TEXT",
         Type::BYTEA => "BYTEA",
         Type::DATE => "DATE",
         Type::TIME => "TIME",
@@ -74,7 +75,7 @@ fn written(declared: &Type) -> Option<&'static str> {
         Type::INT8_ARRAY => "BIGINT[]",
         Type::FLOAT4_ARRAY => "REAL[]",
         Type::FLOAT8_ARRAY | Type::NUMERIC_ARRAY => "DOUBLE PRECISION[]",
-        Type::TEXT_ARRAY | Type::VARCHAR_ARRAY => "TEXT[]",
+        Type::TEXT_ARRAY | Type::VARCHAR_ARRAY | Type::UUID_ARRAY => "TEXT[]",
         Type::DATE_ARRAY => "DATE[]",
         Type::TIMESTAMP_ARRAY => "TIMESTAMP[]",
         Type::TIMESTAMPTZ_ARRAY => "TIMESTAMPTZ[]",

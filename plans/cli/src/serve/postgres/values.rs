@@ -1,4 +1,4 @@
-//! What a client binds, read as Postgres reads it where the library does not: texts, lists of them, and exact numbers.
+//! What a client binds, read as Postgres reads it where the library does not: texts, lists of them, exact numbers, and UUIDs.
 
 use std::fmt::Write;
 
@@ -9,6 +9,7 @@ use datafusion::common::ScalarValue;
 use datafusion::common::utils::SingleRowListArrayBuilder;
 use pgwire::api::Type;
 use pgwire::error::{PgWireError, PgWireResult};
+use uuid::Uuid;
 
 use crate::serve::postgres::arrays::elements;
 use crate::serve::postgres::error;
@@ -55,10 +56,11 @@ impl Bound<'_> {
     /// For what is none of its type.
     pub fn read(self) -> PgWireResult<Option<Value>> {
         let is_number = matches!(*self.kind, Type::NUMERIC | Type::NUMERIC_ARRAY);
+        let is_uuid = matches!(*self.kind, Type::UUID | Type::UUID_ARRAY);
         let item = match (self.kind, self.target) {
-            (&Type::NUMERIC, _) => None,
+            (&Type::NUMERIC | &Type::UUID, _) => None,
             (_, DataType::List(item)) => Some(item.data_type()),
-            (&Type::NUMERIC_ARRAY, other) => Some(other),
+            (&Type::NUMERIC_ARRAY | &Type::UUID_ARRAY, other) => Some(other),
             _ => None,
         };
         let target = match item.unwrap_or(self.target) {
@@ -67,19 +69,24 @@ impl Bound<'_> {
             DataType::Dictionary(_, value) => value.as_ref(),
             other => other,
         };
-        let texts = match (is_number && !self.is_text, item.is_some()) {
-            (true, true) => numerics(self.bytes).ok_or_else(none_of_its_type)?,
-            (true, false) => one(&numeric(self.bytes).ok_or_else(none_of_its_type)?),
-            (false, _) if !self.is_read_here(item.is_some(), target) => return Ok(None),
-            (false, true) => elements(self.text()?)?,
-            (false, false) if target.is_string() => one(self.text()?),
-            (false, false) => one(self.text()?.trim()),
+        let format = Format::of(self.kind).filter(|_| !self.is_text);
+        let texts = match (format, item.is_some()) {
+            (Some(format), true) => format.many(self.bytes).ok_or_else(none_of_its_type)?,
+            (Some(format), false) => one(&(format.read)(self.bytes).ok_or_else(none_of_its_type)?),
+            (None, _) if !self.is_read_here(item.is_some(), target) => return Ok(None),
+            (None, true) => elements(self.text()?)?,
+            (None, false) if target.is_string() => one(self.text()?),
+            (None, false) => one(self.text()?.trim()),
+        };
+        let expected = format!("a value of the type {}", self.kind.name());
+        let texts = match is_uuid {
+            true => uuids(&texts).ok_or_else(|| self.is_none(&expected))?,
+            false => texts,
         };
         let made = match is_number && target.is_integer() {
             true => cast(&without_fractions(&texts), target),
             false => cast(&texts, target),
         };
-        let expected = format!("a value of the type {}", self.kind.name());
         let made = made.ok_or_else(|| self.is_none(&expected))?;
         let scalar = |made: ArrayRef| match item {
             Some(_) => Some(SingleRowListArrayBuilder::new(made).build_list_scalar()),
@@ -92,12 +99,12 @@ impl Bound<'_> {
         }))
     }
 
-    /// Whether it is a text that is read here: of what no type is said, lists, exact numbers, and types that the library does
-    /// not know.
+    /// Whether it is a text that is read here: of what no type is said, lists, exact numbers, UUIDs, and types that the library
+    /// does not know.
     fn is_read_here(self, is_list: bool, target: &DataType) -> bool {
         let is_new = matches!(
             *self.kind,
-            Type::JSON | Type::JSONB | Type::BPCHAR | Type::NAME | Type::NUMERIC
+            Type::JSON | Type::JSONB | Type::BPCHAR | Type::NAME | Type::NUMERIC | Type::UUID
         );
         let is_theirs = target.is_binary()
             || target.is_nested()
@@ -210,29 +217,64 @@ fn numeric(bytes: &[u8]) -> Option<String> {
     Some(text)
 }
 
-/// A list of `numeric` in the format of bytes; `None` where it is none, or one of lists.
-fn numerics(bytes: &[u8]) -> Option<StringArray> {
-    let mut body = Body(bytes);
-    let dimensions = i32::from_be_bytes(body.number()?);
-    let _has_null = body.number::<4>()?;
-    let of = u32::from_be_bytes(body.number()?);
-    let length = match dimensions {
-        0 => 0,
-        1 => {
-            let length = i32::from_be_bytes(body.number()?);
-            let _first = body.number::<4>()?;
-            length
-        }
-        _ => return None,
+/// UUIDs as Postgres writes them, with dashes; `None` where one of them is none.
+fn uuids(texts: &StringArray) -> Option<StringArray> {
+    let written = |text: Option<&str>| match text {
+        Some(text) => Some(Some(Uuid::parse_str(text).ok()?.to_string())),
+        None => Some(None),
     };
-    let mut found = StringBuilder::new();
-    for _ in 0..length {
-        match i32::from_be_bytes(body.number()?) {
-            -1 => found.append_null(),
-            size => found.append_value(numeric(body.skip(usize::try_from(size).ok()?)?)?),
-        }
+    texts.iter().map(written).collect()
+}
+
+/// A UUID in the format of bytes as a text; `None` where it is none.
+fn uuid(bytes: &[u8]) -> Option<String> {
+    Uuid::from_slice(bytes).ok().map(|uuid| uuid.to_string())
+}
+
+/// How the bytes of a type are read that the library does not read.
+#[derive(Clone, Copy)]
+struct Format {
+    /// The number of the type, in lists too.
+    oid: u32,
+    /// One value as a text; `None` where it is none.
+    read: fn(&[u8]) -> Option<String>,
+}
+
+impl Format {
+    fn of(kind: &Type) -> Option<Self> {
+        let (of, read): (Type, fn(&[u8]) -> Option<String>) = match *kind {
+            Type::NUMERIC | Type::NUMERIC_ARRAY => (Type::NUMERIC, numeric),
+            Type::UUID | Type::UUID_ARRAY => (Type::UUID, uuid),
+            _ => return None,
+        };
+        let oid = of.oid();
+        Some(Self { oid, read })
     }
-    (of == Type::NUMERIC.oid() && body.0.is_empty()).then(|| found.finish())
+
+    /// A list of values; `None` where it is none, or one of lists.
+    fn many(self, bytes: &[u8]) -> Option<StringArray> {
+        let mut body = Body(bytes);
+        let dimensions = i32::from_be_bytes(body.number()?);
+        let _has_null = body.number::<4>()?;
+        let of = u32::from_be_bytes(body.number()?);
+        let length = match dimensions {
+            0 => 0,
+            1 => {
+                let length = i32::from_be_bytes(body.number()?);
+                let _first = body.number::<4>()?;
+                length
+            }
+            _ => return None,
+        };
+        let mut found = StringBuilder::new();
+        for _ in 0..length {
+            match i32::from_be_bytes(body.number()?) {
+                -1 => found.append_null(),
+                size => found.append_value((self.read)(body.skip(usize::try_from(size).ok()?)?)?),
+            }
+        }
+        (of == self.oid && body.0.is_empty()).then(|| found.finish())
+    }
 }
 
 #[cfg(test)]
