@@ -272,6 +272,16 @@ fn files_that_are_replaced_while_a_version_is_open_are_noticed() {
     assert_eq!(messages("tuesday"), monday);
 }
 
+/// The same of a statement that is planned once.
+#[test]
+fn a_prepared_statement_notices_files_that_are_replaced() {
+    let folder = tempfile::tempdir().unwrap();
+    let map = map(folder.path());
+    let server = Server::start(&map, &[]);
+    let arguments = [server.postgres.as_str(), text(&map), text(folder.path())];
+    ended("serve/prepared.py", &arguments);
+}
+
 /// By the path that `/maps` gives, and as a schema beside another map's.
 #[test]
 fn a_map_is_reached_by_its_name_whatever_letters_are_in_it() {

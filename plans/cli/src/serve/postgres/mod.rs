@@ -34,6 +34,7 @@ use datafusion::sql::sqlparser::ast::Statement;
 use datafusion::sql::sqlparser::dialect::PostgreSqlDialect;
 use datafusion_postgres::DfSessionService;
 use evermap_engine::error::fault_of;
+use evermap_engine::map::is_as_planned;
 use evermap_engine::sql::{NO_TABLE, check_size};
 use evermap_schemas::{Fault, Kind};
 use futures::Sink;
@@ -237,8 +238,8 @@ fn noted(query: &str, opened: &Opened) -> String {
 }
 
 impl Parser {
-    /// A portal as it is, or, where a version was published since it was planned, planned again: a statement that is
-    /// prepared once reads the newest version each time.
+    /// A portal as it is, or, where a version was published since it was planned, or it reads a log, planned again: a statement
+    /// that is prepared once reads what there is each time.
     async fn of_newest<C>(
         &self,
         client: &C,
@@ -255,7 +256,14 @@ impl Parser {
             .0
             .split_once('\n')
             .map_or("", |(_, query)| query);
-        if old.statement.0 != noted(query, newest) {
+        let is_as_planned = match &old.statement.1 {
+            _ if old.statement.0 != noted(query, newest) => false,
+            Some((statement, _)) => is_as_planned(&newest.context, statement)
+                .await
+                .map_err(|fault| said(&fault))?,
+            None => true,
+        };
+        if !is_as_planned {
             let planned = self.parse_sql(client, query, &old.parameter_types).await?;
             let planned = planned.unwrap_or_else(|| old.statement.clone());
             if columns(&planned) != columns(&old.statement) {
