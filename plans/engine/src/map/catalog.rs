@@ -72,7 +72,7 @@ pub async fn is_as_planned(context: &SessionContext, statement: &Statement) -> R
         let Ok(schema) = state.schema_for_ref(reference) else {
             return Ok(false);
         };
-        let is_log = schema.downcast_ref::<LogTables>().is_some();
+        let is_log = schema.is::<LogTables>();
         if is_log || schema.table(&name).await.or_fault()?.is_none() {
             return Ok(false);
         }
