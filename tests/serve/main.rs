@@ -333,6 +333,14 @@ fn a_map_is_watched_live() {
 }
 
 #[test]
+fn one_address_does_not_keep_others_out() {
+    let folder = tempfile::tempdir().unwrap();
+    let map = map(folder.path());
+    let server = Server::start(&map, &["--per-address", "2"]);
+    ended("serve/crowd.py", &[&server.http, &server.postgres]);
+}
+
+#[test]
 fn a_server_is_read_and_nothing_else() {
     let folder = tempfile::tempdir().unwrap();
     let map = map(folder.path());

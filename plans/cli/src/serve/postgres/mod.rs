@@ -56,6 +56,7 @@ use crate::serve::access::Access;
 use crate::serve::answer::{Bounds, Turn};
 use crate::serve::maps::{Maps, Opened};
 use crate::serve::patience::{Asked, accept};
+use crate::serve::places::Places;
 use crate::serve::postgres::answering::{all_rows, bounded, cancelled, never, rows_wanted};
 use crate::serve::postgres::connection::Handlers;
 use crate::serve::postgres::hooks::fault_in_our_words;
@@ -68,19 +69,22 @@ pub use postgis::complete as complete_types;
 /// A statement of a client with its plan, as `datafusion-postgres` has it.
 type Prepared = (String, Option<(Statement, LogicalPlan)>);
 
-/// Serves maps for ever. So many clients at once; more are refused.
+/// Serves maps for ever. So many clients that are in at once, of all that have a place; more are refused.
 pub async fn serve(
     listener: TcpListener,
+    places: Places,
     maps: Maps,
     access: Access,
     bounds: Bounds,
     connections: usize,
 ) {
     let manager = Arc::new(ConnectionManager::new());
-    let places = Arc::new(Semaphore::new(connections));
+    let clients = Arc::new(Semaphore::new(connections));
     let tls = access.tls(&["postgresql"]);
-    let answered = move |socket, asked: Asked| {
-        let startup = Startup::new(&access, Arc::clone(&manager), Arc::clone(&places), asked);
+    let answered = move |socket, asked: Asked, refused: Option<Fault>| {
+        let manager = Arc::clone(&manager);
+        let clients = Arc::clone(&clients);
+        let startup = Startup::new(&access, Arc::clone(&manager), clients, asked, refused);
         let queries = Queries {
             parser: Arc::new(Parser { maps: maps.clone() }),
             bounds: bounds.clone(),
@@ -88,11 +92,11 @@ pub async fn serve(
         let handlers = Handlers {
             startup: Arc::new(startup),
             queries: Arc::new(queries),
-            cancel: Arc::new(DefaultCancelHandler::new(Arc::clone(&manager))),
+            cancel: Arc::new(DefaultCancelHandler::new(manager)),
         };
         handlers.converse(socket, tls.clone())
     };
-    accept(listener, answered).await;
+    accept(listener, places, answered).await;
 }
 
 /// Answers queries by the newest version of a map, and within bounds.
