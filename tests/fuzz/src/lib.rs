@@ -146,8 +146,8 @@ fn image(bytes: &[u8]) -> FoundImage {
     }
 }
 
-/// Has every role read messages of a definition of their own. The last byte says how many bits a manifest gives the samples of their
-/// images.
+/// Has every role read messages of a definition of their own. Where the last byte is one of the three largest, it says how many
+/// bits a manifest gives the samples of their images.
 fn roles(bytes: &[u8]) {
     let Some((message_type, payloads)) = channel(bytes) else {
         return;
@@ -161,7 +161,7 @@ fn roles(bytes: &[u8]) {
     let image = image(bytes);
     let zero = OnceCell::new();
     let bits = bytes.last().and_then(|last| {
-        let bits = SampleBits::ALL.get(usize::from(*last) % 4)?;
+        let bits = SampleBits::ALL.get(usize::from(u8::MAX - last))?;
         SampleBits::new(u64::from(*bits))
     });
     let messages: Vec<Message<'_>> = Fields::all(&members)
