@@ -10,6 +10,7 @@ import psycopg
 HERE, ELSEWHERE = "127.0.0.1", "127.0.0.2"
 FULL = "expected at most 2 connections from 127.0.0.1 at once"
 HEALTH = b"GET /health HTTP/1.1\r\nHost: localhost\r\n\r\n"
+ONCE = HEALTH.replace(b"\r\n\r\n", b"\r\nConnection: close\r\n\r\n")
 
 
 def opened(address, of):
@@ -24,7 +25,10 @@ def asked(stream, message):
 
 def health(http, of):
     with opened(http, of) as stream:
-        return asked(stream, HEALTH)
+        answer = asked(stream, ONCE)
+        while piece := stream.recv(4096):
+            answer += piece
+        return answer
 
 
 def until(ask):
