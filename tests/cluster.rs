@@ -480,8 +480,17 @@ fn a_unit_that_takes_longer_than_the_deadline_is_begun_once_and_found_by_the_nex
     let said = ended.expect(1).stderr;
     assert!(said.contains("no unit has ended for 5 s"), "{said}");
 
+    // A run that comes meanwhile waits for it: were it sent again, it would be begun at once.
+    let mut waits = begin_run(&plan, "120");
+    let begun = Instant::now();
+    while begun.elapsed() < Duration::from_secs(12) {
+        assert_eq!(notes(), ["begun"]);
+        assert!(waits.try_wait().unwrap().is_none());
+        std::thread::sleep(Duration::from_millis(100));
+    }
     std::fs::write(folder.path().join("go"), "").unwrap();
     until("the executor has done it", || receipts(&map) == 2);
+    done(waits);
     done(begin_run(&plan, "120"));
     assert_eq!(notes(), ["begun", "ended"]);
 }

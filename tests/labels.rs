@@ -1096,15 +1096,17 @@ fn answers_about_an_image_that_is_not_there_are_refused_or_counted() {
     let first = evermap(&["sql", "--map", text(&map), "--format", "json", first]);
     let first = first.expect(0).json()[0].clone();
     let (file, log) = (street.path("person.json"), street.path("ada.mcap"));
-    let import = |camera: &Value| {
-        let mut person = collection(&[("nobody", space(5.0, 0.0))]);
-        let image = json!({ "session": "visit_a", "stamp": first["stamp"], "camera": camera });
+    let import_with = |name: &str, image: Value| {
+        let mut person = collection(&[(name, space(5.0, 0.0))]);
         person["features"][0]["properties"] = json!({ "kind": "person", "image": image });
         std::fs::write(&file, person.to_string()).unwrap();
         let (map, file, log) = (text(&map), text(&file), text(&log));
         let import = ["annotate", "--map", map, "--author", "ada"];
         evermap(&[&import[..], &["--import", file, "--out", log]].concat())
     };
+    let image =
+        |camera: &Value| json!({ "session": "visit_a", "stamp": first["stamp"], "camera": camera });
+    let import = |camera: &Value| import_with("nobody", image(camera));
     let refused = import(&"no_camera".into()).expect(3);
     let told = "feature of an image that the map does not have";
     assert!(refused.stderr.contains(told), "{}", refused.stderr);
@@ -1131,6 +1133,17 @@ fn answers_about_an_image_that_is_not_there_are_refused_or_counted() {
     let run = evermap(&run).expect(3);
     let told = "1  label of an image that the map does not have";
     assert!(run.stderr.contains(told), "{}", run.stderr);
+
+    // Which images there are is read for who names one.
+    let version = std::fs::read(map.join("versions/1.json")).unwrap();
+    let version: Value = serde_json::from_slice(&version).unwrap();
+    let content = &version["layers"]["pictures"]["artifacts"][0]["content"];
+    let content = content.as_str().unwrap();
+    std::fs::remove_file(map.join(format!("artifacts/{content}.parquet"))).unwrap();
+    let taken = import_with("somebody", Value::Null).expect(0);
+    assert!(taken.stderr.contains("1 drawn"), "{}", taken.stderr);
+    let refused = import_with("a third one", image(&first["camera"])).expect(1);
+    assert!(refused.stderr.contains(content), "{}", refused.stderr);
 }
 
 /// Examples of people as the plan `people` has them, of all images of a log.

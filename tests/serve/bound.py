@@ -2,11 +2,14 @@
 
 import datetime
 import sys
+import uuid
 from decimal import Decimal
 
 import pandas
 import psycopg
 import sqlalchemy
+
+ID = uuid.UUID("0193f0a1-7e2b-7c3d-8e4f-5a6b7c8d9e0f")
 
 # What stands in a query in place of values, and the values; each answer is as Postgres has it.
 SAME = [
@@ -29,7 +32,24 @@ SAME = [
     ("SELECT CAST(9007199254740992 AS BIGINT) = %b", [Decimal(9007199254740992)], True),
     ("SELECT 2 = ANY(%s)", [[Decimal("2.5"), Decimal("1")]], False),
     ("SELECT 2 = ANY(%b)", [[Decimal("2.5"), Decimal("2")]], True),
+    ("SELECT %s", [ID], str(ID)),
+    ("SELECT %b", [ID], str(ID)),
+    ("SELECT %s", [[ID, None]], [str(ID), None]),
+    ("SELECT %b", [[ID, None]], [str(ID), None]),
+    (f"SELECT '{ID}' = %s", [ID], True),
+    (f"SELECT '{ID}' = ANY(%s)", [[ID]], True),
     ("SELECT count(*) FROM (SELECT 1 FROM lanes LIMIT %s OFFSET %s) AS few", [1, 0], 1),
+]
+
+# Lists that are written as texts in a query, and answers as Postgres has them.
+LISTS = [
+    (r"""SELECT 'a, b' = ANY('{"a, b"}')""", True),
+    (r"""SELECT 'a' = ANY('{"a, b"}')""", False),
+    (r"""SELECT 'a "b" \' = SOME('{x,"a \"b\" \\"}')""", True),
+    (r"""SELECT 'b' <> ALL('{"a, b",c}')""", True),
+    (r"""SELECT '{"a, b",NULL,"NULL",it''s}'::text[]""", ["a, b", None, "NULL", "it's"]),
+    (r"""SELECT CAST('{"a, b",c}' AS TEXT[])""", ["a, b", "c"]),
+    (r"""SELECT '{1,NULL}'::int[]""", [1, None]),
 ]
 
 # Conditions on lanes with a value, and the same with a literal.
@@ -77,6 +97,11 @@ def main(postgres):
             query = "SELECT site, lane FROM lanes WHERE {} ORDER BY site, lane"
             found = ask(query.format(condition), [value], binary, True)
             assert found == ask(query.format(literal)), (condition, value, found)
+    for prepare in (False, True):
+        for query, expected in LISTS:
+            found = ask(query, prepare=prepare)
+            assert found == [(expected,)], (query, found)
+        refused(lambda: ask("SELECT 1 = ANY('{{1},{2}}')", prepare=prepare), "expected a list such as {1,2}, found `{{1},{2}}`")
     lanes = ask("SELECT site, lane FROM lanes ORDER BY site, lane")
     assert lanes and {site for site, _ in lanes} != {None}
     site = lanes[0][0]

@@ -272,6 +272,16 @@ fn files_that_are_replaced_while_a_version_is_open_are_noticed() {
     assert_eq!(messages("tuesday"), monday);
 }
 
+/// The same of a statement that is planned once.
+#[test]
+fn a_prepared_statement_notices_files_that_are_replaced() {
+    let folder = tempfile::tempdir().unwrap();
+    let map = map(folder.path());
+    let server = Server::start(&map, &[]);
+    let arguments = [server.postgres.as_str(), text(&map), text(folder.path())];
+    ended("serve/prepared.py", &arguments);
+}
+
 /// By the path that `/maps` gives, and as a schema beside another map's.
 #[test]
 fn a_map_is_reached_by_its_name_whatever_letters_are_in_it() {
@@ -320,6 +330,14 @@ fn a_map_is_watched_live() {
     assert!(more < 256 << 20, "{more} bytes more");
     drop(viewers.stdin.take());
     assert!(viewers.wait().unwrap().success());
+}
+
+#[test]
+fn one_address_does_not_keep_others_out() {
+    let folder = tempfile::tempdir().unwrap();
+    let map = map(folder.path());
+    let server = Server::start(&map, &["--per-address", "2"]);
+    ended("serve/crowd.py", &[&server.http, &server.postgres]);
 }
 
 #[test]

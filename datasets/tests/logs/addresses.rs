@@ -1,70 +1,44 @@
 //! What addresses in a store of objects name: just the files that people mean, or a fault that says why not.
 #![allow(clippy::unwrap_used, clippy::panic)]
 
-use std::fmt;
+use std::ops::Range;
 use std::sync::Arc;
 
 use async_trait::async_trait;
+use bytes::Bytes;
 use datafusion::execution::runtime_env::RuntimeEnv;
 use evermap_datasets::Recordings;
 use evermap_schemas::Fault;
-use futures::stream::BoxStream;
+use evermap_test_data::stores::{Reads, Watched};
 use object_store::memory::InMemory;
 use object_store::path::Path;
-use object_store::{
-    CopyOptions, Error, GetOptions, GetResult, ListResult, MultipartUpload, ObjectMeta,
-    ObjectStore, ObjectStoreExt, PutMultipartOptions, PutOptions, PutPayload, PutResult, Result,
-};
+use object_store::{Error, GetOptions, GetResult, ObjectStore, ObjectStoreExt, Result};
 use url::Url;
 
-/// A store that refuses to say what it has of a name, but lists.
+/// Refuses to say what a store has of a name; the store lists what it has.
 #[derive(Debug)]
-struct Guarded(InMemory);
+struct Guarded;
 
-impl fmt::Display for Guarded {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str("guarded")
-    }
+fn refused<T>(location: &Path) -> Result<T> {
+    Err(Error::PermissionDenied {
+        path: location.to_string(),
+        source: "403 Forbidden".into(),
+    })
 }
 
 #[async_trait]
-impl ObjectStore for Guarded {
-    async fn get_opts(&self, location: &Path, _: GetOptions) -> Result<GetResult> {
-        Err(Error::PermissionDenied {
-            path: location.to_string(),
-            source: "403 Forbidden".into(),
-        })
+impl Reads for Guarded {
+    async fn file(&self, _: &dyn ObjectStore, location: &Path, _: GetOptions) -> Result<GetResult> {
+        refused(location)
     }
 
-    async fn put_opts(&self, l: &Path, p: PutPayload, o: PutOptions) -> Result<PutResult> {
-        self.0.put_opts(l, p, o).await
-    }
-
-    async fn put_multipart_opts(
+    async fn parts(
         &self,
-        l: &Path,
-        o: PutMultipartOptions,
-    ) -> Result<Box<dyn MultipartUpload>> {
-        self.0.put_multipart_opts(l, o).await
-    }
-
-    fn delete_stream(
-        &self,
-        l: BoxStream<'static, Result<Path>>,
-    ) -> BoxStream<'static, Result<Path>> {
-        self.0.delete_stream(l)
-    }
-
-    fn list(&self, prefix: Option<&Path>) -> BoxStream<'static, Result<ObjectMeta>> {
-        self.0.list(prefix)
-    }
-
-    async fn list_with_delimiter(&self, prefix: Option<&Path>) -> Result<ListResult> {
-        self.0.list_with_delimiter(prefix).await
-    }
-
-    async fn copy_opts(&self, from: &Path, to: &Path, o: CopyOptions) -> Result<()> {
-        self.0.copy_opts(from, to, o).await
+        _: &dyn ObjectStore,
+        location: &Path,
+        _: &[Range<u64>],
+    ) -> Result<Vec<Bytes>> {
+        refused(location)
     }
 }
 
@@ -129,7 +103,10 @@ async fn a_pattern_leaves_out_what_lies_beside_logs_as_it_does_on_a_disk() {
 
 #[tokio::test]
 async fn a_store_that_refuses_to_say_what_it_has_is_told_unless_it_lists_logs() {
-    let store: Arc<dyn ObjectStore> = Arc::new(Guarded(holding(&["logs/a.mcap"]).await));
+    let store: Arc<dyn ObjectStore> = Arc::new(Watched {
+        store: Arc::new(holding(&["logs/a.mcap"]).await),
+        reads: Guarded,
+    });
     let found = named(Arc::clone(&store), "logs").await.unwrap();
     assert_eq!(found, ["logs/a.mcap"]);
     let fault = named(store, "logs/a.mcap").await.unwrap_err();

@@ -1,9 +1,12 @@
-//! What tests of all crates are given from outside: data of others, and seeds.
+//! What tests of several crates share: data of others, seeds, and, with the feature `stores`, stores of objects that are looked at.
 //!
 //! Data that others made (`../shared` beside the repository, or `EVERMAP_SHARED`) is never part of the project. A test
 //! that needs what is not there says so and passes; where `EVERMAP_SKIP=never` is set, as in CI, it fails.
 
 #![allow(clippy::print_stderr, clippy::panic)]
+
+#[cfg(feature = "stores")]
+pub mod stores;
 
 use std::path::{Path, PathBuf};
 use std::time::SystemTime;

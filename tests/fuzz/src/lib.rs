@@ -10,17 +10,21 @@ mod geometries;
 mod logs;
 mod queries;
 
+use std::borrow::Cow;
 use std::cell::OnceCell;
 use std::str::from_utf8;
 use std::sync::Once;
 
 use arrow::array::StructArray;
 use arrow::datatypes::Field;
+use evermap_engine::nodes::raw::as_file;
 use evermap_language::{
     Host, OperatorSpec, ParameterFault, PortSpec, QueryFault, Source, Vocabulary, parse, utf8,
 };
 use evermap_messages::{Decoder, MessageType};
-use evermap_schemas::roles::{self, CameraNames, Fields, FoundImage, Message, OdometryOf};
+use evermap_schemas::roles::{
+    self, CameraNames, Fields, FoundImage, Message, OdometryOf, SampleBits,
+};
 use evermap_schemas::{ImageRef, Stamp};
 use evermap_vision::{Grey, Rgb};
 use evermap_vision::{decode_colour, decode_depth, decode_grey, decode_labels, image_size};
@@ -142,7 +146,8 @@ fn image(bytes: &[u8]) -> FoundImage {
     }
 }
 
-/// Has every role read messages of a definition of their own.
+/// Has every role read messages of a definition of their own. Where the last byte is one of the three largest, it says how many
+/// bits a manifest gives the samples of their images.
 fn roles(bytes: &[u8]) {
     let Some((message_type, payloads)) = channel(bytes) else {
         return;
@@ -155,6 +160,10 @@ fn roles(bytes: &[u8]) {
     let (cameras, robot) = (CameraNames::default(), OdometryOf::default());
     let image = image(bytes);
     let zero = OnceCell::new();
+    let bits = bytes.last().and_then(|last| {
+        let bits = SampleBits::ALL.get(usize::from(u8::MAX - last))?;
+        SampleBits::new(u64::from(*bits))
+    });
     let messages: Vec<Message<'_>> = Fields::all(&members)
         .map(|fields| Message {
             site: "site",
@@ -166,7 +175,7 @@ fn roles(bytes: &[u8]) {
             image: Some(&image),
             cameras: &cameras,
             robot: &robot,
-            bits: None,
+            bits,
         })
         .collect();
     for role in roles::ALL.iter().filter_map(|role| role.messages()) {
@@ -187,8 +196,34 @@ fn small(bytes: &[u8]) -> Option<u64> {
     (pixels <= PIXELS).then_some(pixels)
 }
 
-/// Decodes an image in every way that there is.
+/// Decodes an image in every way that there is, and what is made of it as a raw one.
 fn images(bytes: &[u8]) {
+    decoded(bytes);
+    if let Some(file) = of_raw(bytes) {
+        decoded(&file);
+    }
+}
+
+/// The file of a raw image: a byte each for its width, its height and the bytes of a row, a line for its format, then its rows.
+fn of_raw(bytes: &[u8]) -> Option<Vec<u8>> {
+    let ([width, height, step], rest) = bytes.split_first_chunk::<3>()?;
+    let end = rest.iter().position(|byte| *byte == b'\n')?;
+    let mut place = image(bytes).place;
+    place.format = from_utf8(&rest[..end]).ok()?.to_owned();
+    let [width, height, step] = [*width, *height, *step].map(u32::from);
+    (place.width, place.height, place.step) = (Some(width), Some(height), Some(step));
+    let Cow::Owned(file) = as_file(&place, &rest[end + 1..]).ok()? else {
+        // It is no raw one, and stays as it is.
+        return None;
+    };
+    // Numbers of 32 bits are no picture, and an image without rows is none.
+    if height > 0 && !file.starts_with(b"Pf") {
+        assert_eq!(image_size(&file).ok(), Some([width, height]));
+    }
+    Some(file)
+}
+
+fn decoded(bytes: &[u8]) {
     // Depth stands behind 12 bytes as well, and as floating-point numbers.
     let behind = bytes.get(12..).and_then(small);
     if (bytes.starts_with(b"Pf") || behind.is_some())

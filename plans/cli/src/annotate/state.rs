@@ -20,6 +20,7 @@ use evermap_schemas::roles::{Anchor, Annotation, Calibration, ImageAnnotation, T
 use evermap_schemas::{Fault, LayerRow, Stamp};
 
 use super::Losses;
+use super::features::Feature;
 use crate::reader::{MapReader, answered, one_site, only, typed};
 use crate::sessions;
 use crate::shown::Picture;
@@ -41,8 +42,8 @@ pub struct State {
     pub has_poses: bool,
     /// The poses and frames of the version.
     pub holds: Holds,
-    /// The images that layers name.
-    images: BTreeSet<ImageKey>,
+    /// The images that layers name; `None` until somebody says something of one.
+    images: Option<BTreeSet<ImageKey>>,
     placer: Placer,
     acts: Vec<Annotation>,
     before: Vec<LabelAnchor>,
@@ -60,17 +61,18 @@ impl State {
         losses: &mut Losses,
     ) -> Result<Self, Fault> {
         let poses: Vec<VehiclePose> = reader.rows(None).await?;
-        let pictures: Vec<Picture> = reader.rows(None).await?;
-        let sites = poses.iter().map(|pose| pose.site.as_str());
-        let sites: BTreeSet<&str> = match poses.is_empty() {
-            true => pictures.iter().map(|row| row.site.as_str()).collect(),
-            false => sites.collect(),
+        let pictures: Vec<Picture> = match poses.is_empty() {
+            true => reader.rows(None).await?,
+            false => Vec::new(),
         };
+        let sites = poses.iter().map(|pose| pose.site.as_str());
+        let sites: BTreeSet<&str> = sites
+            .chain(pictures.iter().map(|row| row.site.as_str()))
+            .collect();
         if sites.is_empty() {
             return Err(without_poses());
         }
         let site = one_site(sites, site)?;
-        let images = images(reader, &site, pictures).await?;
         let mut acts: Vec<Annotation> = layer(reader, SAID, &site).await?;
         acts.extend(from_logs(logs, &site, losses).await?);
         let frames: Vec<MapFrame> = reader.rows(Some(&site)).await?;
@@ -103,7 +105,7 @@ impl State {
             labels: BTreeMap::new(),
             has_poses,
             holds,
-            images,
+            images: None,
             placer,
             acts: Vec::new(),
             before,
@@ -126,15 +128,33 @@ impl State {
         }
     }
 
+    /// Reads which images the map names, where one of these features is of an image: to be asked before [`State::may_have`] is.
+    ///
+    /// # Errors
+    /// As [`MapReader::rows`].
+    pub async fn know_images(
+        &mut self,
+        reader: &MapReader,
+        features: &[Feature],
+    ) -> Result<(), Fault> {
+        let names_one = features.iter().any(|feature| feature.image.is_some());
+        if names_one && self.images.is_none() {
+            self.images = Some(images(reader, &self.site).await?);
+        }
+        Ok(())
+    }
+
     /// Whether there is an image, as far as the map tells: one that its layers name, or that a camera took at a vehicle pose,
     /// as labels are tied to these. Where nothing is known of a session's images, or of its cameras, it may be there.
     pub fn may_have(&self, image: &ImageKey) -> bool {
         let (session, stamp, camera) = image;
-        if self.images.contains(image) {
+        let none = BTreeSet::new();
+        let images = self.images.as_ref().unwrap_or(&none);
+        if images.contains(image) {
             return true;
         }
         let first = (session.clone(), Stamp(i64::MIN), String::new());
-        let next = self.images.range(first..).next();
+        let next = images.range(first..).next();
         let knows_images = next.is_some_and(|(of, ..)| of == session);
         let may_be_camera = match self.holds.knows_cameras(session) {
             true => self.holds.camera(session, camera).is_some(),
@@ -174,12 +194,9 @@ impl State {
 
 /// The images of a site that a map names: pictures, and those of keyframes and of questions about people. Plans name the images
 /// of a keyframe by its own instant, too.
-async fn images(
-    reader: &MapReader,
-    site: &str,
-    pictures: Vec<Picture>,
-) -> Result<BTreeSet<ImageKey>, Fault> {
-    let pictures = pictures.into_iter().filter(|row| row.site == site);
+async fn images(reader: &MapReader, site: &str) -> Result<BTreeSet<ImageKey>, Fault> {
+    let pictures: Vec<Picture> = reader.rows(Some(site)).await?;
+    let pictures = pictures.into_iter();
     let pictures = pictures.map(|row| (row.session, row.stamp, row.camera));
     let mut images: BTreeSet<ImageKey> = pictures.collect();
     let keyframes: Vec<Keyframe> = reader.rows(Some(site)).await?;
@@ -295,7 +312,7 @@ mod tests {
             labels: BTreeMap::new(),
             has_poses: true,
             holds: Holds::new(map, &params),
-            images: images.collect(),
+            images: Some(images.collect()),
             placer,
             acts: Vec::new(),
             before: Vec::new(),

@@ -50,4 +50,8 @@ pub struct ServeArgs {
     /// Connections of the Postgres protocol at once; more are refused.
     #[arg(long, value_name = "N", default_value_t = 200, value_parser = clap::value_parser!(u32).range(1..=100_000))]
     pub connections: u32,
+    /// Connections of one address at once, of HTTP and of the Postgres protocol each; more are refused [default: half of them;
+    /// of this machine, any number].
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=100_000))]
+    pub per_address: Option<u32>,
 }

@@ -30,7 +30,7 @@ pub async fn annotate(args: &AnnotateArgs) -> Ending {
     let reader = MapReader::open(&args.map.map, args.map.version).await?;
     let logs = args.out.as_deref().map(parts).unwrap_or_default();
     let mut losses = Losses::default();
-    let state = State::read(&reader, args.site.as_deref(), &logs, &mut losses).await?;
+    let mut state = State::read(&reader, args.site.as_deref(), &logs, &mut losses).await?;
     if let Some(kind) = &args.kind
         && let Some(meant) = state.meant(kind)
     {
@@ -41,6 +41,7 @@ pub async fn annotate(args: &AnnotateArgs) -> Ending {
     match (&args.import, &args.out, &args.export) {
         (Some(file), Some(log), _) => {
             let features = features(args, file, (&state, &reader), &mut losses).await?;
+            state.know_images(&reader, &features).await?;
             import(
                 args,
                 &features,

@@ -9,7 +9,8 @@
 //!      │
 //!   answer ── queries that only read, within time, rows and memory
 //!   maps ──── the versions of maps that are open
-//!   patience ─ how long a connection may say nothing, and how many may; that the network is heard while queries compute
+//!   places ─── how many connections there may be, and how many of them of one address
+//!   patience ─ how long a connection may say nothing; that the network is heard while queries compute
 //!   teach ──── what people say of maps, in logs of their own; only where it is asked for
 //! ```
 //! A server only reads maps. What a run publishes is in the answer to the next query, whole or not at all, as versions are.
@@ -20,6 +21,7 @@ mod flight;
 mod http;
 mod maps;
 mod patience;
+mod places;
 mod postgres;
 mod teach;
 
@@ -39,6 +41,8 @@ use crate::serve::access::Access;
 use crate::serve::answer::Bounds;
 use crate::serve::http::page::encoded;
 use crate::serve::maps::Maps;
+use crate::serve::patience::waiting;
+use crate::serve::places::Places;
 use crate::serve::teach::Teaching;
 
 /// Serves maps until it is stopped.
@@ -87,9 +91,11 @@ pub async fn serve(args: &ServeArgs) -> Ending {
     line(&format!(
         "Postgres:      postgresql://{postgres_address}/{first}"
     ));
-    let connections = args.connections as usize;
+    let (waiting, connections) = (waiting(), args.connections as usize);
+    let places = Places::new(waiting, waiting, args.per_address);
     let spoken = postgres::serve(
         postgres,
+        Places::new(waiting, connections, args.per_address),
         maps.clone(),
         access.clone(),
         bounds.clone(),
@@ -102,7 +108,7 @@ pub async fn serve(args: &ServeArgs) -> Ending {
         }
     };
     tokio::select! {
-        () = http::serve(web, maps, access, bounds, teaching.clone()) => {}
+        () = http::serve(web, places, maps, access, bounds, teaching.clone()) => {}
         () = spoken => {}
         () = tidied => {}
     }

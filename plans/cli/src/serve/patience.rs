@@ -6,10 +6,13 @@ use std::pin::Pin;
 use std::sync::Arc;
 use std::time::Duration;
 
+use evermap_schemas::Fault;
 use tokio::net::{TcpListener, TcpStream};
 use tokio::runtime::Handle;
-use tokio::sync::{Notify, OwnedSemaphorePermit, Semaphore, watch};
+use tokio::sync::{Notify, Semaphore, watch};
 use tokio::time::timeout;
+
+use crate::serve::places::{Full, Place, Places};
 
 /// Time until a connection must have asked for something, or come in; and for what it asks to be there whole.
 pub const PATIENCE: Duration = Duration::from_secs(10);
@@ -17,8 +20,11 @@ pub const PATIENCE: Duration = Duration::from_secs(10);
 /// Time that a connection may be idle after an answer, or take to say what it wants next.
 const IDLE: Duration = Duration::from_secs(60);
 
-/// How much longer it may take to tell a connection that it took too long.
-const TOLD: Duration = Duration::from_secs(1);
+/// How much longer it may take to tell a connection that it took too long, or that there is no place for it.
+pub const TOLD: Duration = Duration::from_secs(1);
+
+/// Connections at once that are told why there is no place for them.
+const REFUSED: usize = 16;
 
 /// Connections at once that wait, where as many files may be open.
 const WAITING: usize = 2048;
@@ -40,25 +46,42 @@ const ASKED_TIMES: u32 = 6;
 /// How long network and clocks may be left alone by threads that compute.
 const ATTENDED_EVERY: Duration = Duration::from_millis(50);
 
-/// Takes connections for ever, and has each answered in a place among those that wait; where there is none, it is closed.
-pub async fn accept<C, E>(listener: TcpListener, converse: impl Fn(TcpStream, Asked) -> C)
-where
+/// Takes connections for ever, and has each answered in a place of its own; where there is none, it is closed. What answers one
+/// is told if it has none because its address has enough: it says so.
+pub async fn accept<C, E>(
+    listener: TcpListener,
+    places: Places,
+    converse: impl Fn(TcpStream, Asked, Option<Fault>) -> C,
+) where
     C: Future<Output = Result<(), E>> + Send + 'static,
     E: Display,
 {
-    let places = Arc::new(Semaphore::new(waiting()));
+    let refused = Arc::new(Semaphore::new(REFUSED));
     loop {
-        let Ok((socket, _)) = listener.accept().await else {
+        let Ok((socket, address)) = listener.accept().await else {
             // Out of file descriptors, mostly: those that are open may be closed by then.
             tokio::time::sleep(Duration::from_millis(100)).await;
             continue;
         };
-        if let Ok(place) = Arc::clone(&places).try_acquire_owned() {
-            if let Err(error) = notice_when_gone(&socket) {
-                tracing::debug!("a client that goes without a word is not noticed: {error}");
+        match places.take(address.ip()) {
+            Ok(place) => {
+                if let Err(error) = notice_when_gone(&socket) {
+                    tracing::debug!("a client that goes without a word is not noticed: {error}");
+                }
+                let asked = Asked::default();
+                attend(place, asked.clone(), converse(socket, asked, None));
             }
-            let asked = Asked::default();
-            attend(place, asked.clone(), converse(socket, asked));
+            Err(Full::Address(fault)) => {
+                tracing::debug!("a connection is refused: {fault}");
+                if let Ok(turn) = Arc::clone(&refused).try_acquire_owned() {
+                    let told = converse(socket, Asked::default(), Some(fault));
+                    tokio::spawn(async move {
+                        let _ = timeout(PATIENCE, told).await;
+                        drop(turn);
+                    });
+                }
+            }
+            Err(Full::All) => {}
         }
     }
 }
@@ -74,7 +97,7 @@ fn notice_when_gone(socket: &TcpStream) -> rustix::io::Result<()> {
 
 /// Connections at once of one protocol that have not come in yet, or that speak HTTP; more are closed. Fewer than files may be open,
 /// so that there is one for who comes when they are gone, and for what is asked.
-fn waiting() -> usize {
+pub fn waiting() -> usize {
     let files = rustix::process::getrlimit(rustix::process::Resource::Nofile).current;
     waiting_of(files)
 }
@@ -110,7 +133,7 @@ pub fn keep_attending(runtime: Handle) -> std::io::Result<()> {
 
 /// Has a connection answered beside others, in its place among those that wait; one that asks for nothing is ended.
 fn attend<E: Display>(
-    place: OwnedSemaphorePermit,
+    place: Place,
     asked: Asked,
     connection: impl Future<Output = Result<(), E>> + Send + 'static,
 ) {

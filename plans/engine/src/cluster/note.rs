@@ -1,6 +1,6 @@
-//! How far units have come that executors are at work on: notes among the map's temporary files, which the run looks for.
-//! Ballista tells of a job only that it runs. A note counts for nothing else, and one that a killed executor leaves behind is
-//! removed by `gc`, like all that is temporary.
+//! How far units have come that executors are at work on: notes among the map's temporary files, which runs look for.
+//! Ballista tells of a job only that it runs, and nobody of a unit that another run has given up: it is waited for as long as its
+//! note is renewed. A note that a killed executor leaves behind is removed by `gc`, like all that is temporary.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::convert::Infallible;
@@ -18,20 +18,29 @@ use crate::map::receipt::Receipt;
 use crate::map::store::{Store, TEMPORARY};
 use crate::unit::Unit;
 
-/// How often it is noted, and looked, how far a unit has come. Shorter ones leave no note.
+/// How often it is noted, and looked, how far a unit has come.
 pub const EVERY: Duration = Duration::from_secs(5);
+
+/// How long a unit takes at least that leaves a note.
+const SHORTEST: Duration = Duration::from_secs(1);
+
+/// How long a note is not renewed until whoever left it is taken for dead. Clocks do not count.
+const DEAD: Duration = Duration::from_secs(20);
 
 /// What follows the digest of a unit's recipe in the name of its note.
 const ENDING: &str = ".json";
 
 /// What is noted of a unit.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-struct Note {
+pub struct Note {
     /// The share of its rows that is done; null where nobody knows.
-    share: Option<f64>,
+    pub share: Option<f64>,
     /// When that was.
     at: DateTime<Utc>,
 }
+
+/// The notes of units by their numbers.
+pub type Notes = BTreeMap<usize, Note>;
 
 fn name(unit: &Unit) -> Result<String, Fault> {
     Ok(format!("{TEMPORARY}/{}{ENDING}", unit.recipe.digest()?))
@@ -53,9 +62,9 @@ pub async fn run(unit: &Unit, registry: &Registry) -> Result<Receipt, Fault> {
     };
     let done = tokio::select! {
         done = work => done,
-        never = keep_noting(&store, &name, &told, EVERY) => match never {},
+        never = keep_noting(&store, &name, &told, [SHORTEST, EVERY]) => match never {},
     };
-    if begun.elapsed() >= EVERY
+    if begun.elapsed() >= SHORTEST
         && let Err(fault) = store.remove(&name).await
     {
         tracing::debug!("{name} is not removed: {fault}");
@@ -63,15 +72,16 @@ pub async fn run(unit: &Unit, registry: &Registry) -> Result<Receipt, Fault> {
     done
 }
 
-/// Notes what is told, for as long as it is waited for.
+/// Notes what is told, first and then every so long, for as long as it is waited for.
 async fn keep_noting(
     store: &Store,
     name: &str,
     told: &watch::Receiver<Option<f64>>,
-    every: Duration,
+    [first, every]: [Duration; 2],
 ) -> Infallible {
+    let mut pause = first;
     loop {
-        tokio::time::sleep(every).await;
+        tokio::time::sleep(std::mem::replace(&mut pause, every)).await;
         let share = *told.borrow();
         let note = Note {
             share,
@@ -83,13 +93,13 @@ async fn keep_noting(
     }
 }
 
-/// Those of some units of a map that executors are at work on, each with the share that is done of it where that is known. Notes that
-/// are old, as those of executors that have died, or do not read are passed over.
+/// Those of some units of a map that executors are at work on, each with its note. Notes that are old, as those of executors that
+/// have died, or do not read are passed over.
 ///
 /// # Errors
 /// A resource fault when the store does not answer.
-pub async fn at_work(units: &BTreeMap<usize, Unit>) -> Result<Vec<(usize, Option<f64>)>, Fault> {
-    let mut found = Vec::new();
+pub async fn at_work(units: &BTreeMap<usize, Unit>) -> Result<Notes, Fault> {
+    let mut found = Notes::new();
     let Some(first) = units.values().next() else {
         return Ok(found);
     };
@@ -103,14 +113,61 @@ pub async fn at_work(units: &BTreeMap<usize, Unit>) -> Result<Vec<(usize, Option
     for (index, unit) in units {
         let name = name(unit)?;
         if noted.contains(&name)
-            && let Ok(Some(note)) = store.read_json::<Note>(&name).await
+            && let Ok(Some(mut note)) = store.read_json::<Note>(&name).await
             && note.at + TERM >= Utc::now()
         {
-            let share = note.share.map(|share| share.clamp(0.0, 1.0));
-            found.push((*index, share));
+            note.share = note.share.map(|share| share.clamp(0.0, 1.0));
+            found.insert(*index, note);
         }
     }
     Ok(found)
+}
+
+/// The units that executors were at work on before they were to be sent: each with its last note, and since when that is known.
+pub struct Others(BTreeMap<usize, (DateTime<Utc>, Instant)>);
+
+impl Others {
+    /// Those that these notes are of.
+    pub fn new(notes: &Notes) -> Self {
+        let now = Instant::now();
+        let units = notes.iter().map(|(unit, note)| (*unit, (note.at, now)));
+        Self(units.collect())
+    }
+
+    /// Whether one is waited for.
+    pub fn has(&self, unit: usize) -> bool {
+        self.0.contains_key(&unit)
+    }
+
+    /// Whether none is waited for.
+    pub fn is_empty(&self) -> bool {
+        self.0.is_empty()
+    }
+
+    /// Those that are waited for.
+    pub fn units(&self) -> Vec<usize> {
+        self.0.keys().copied().collect()
+    }
+
+    /// Waits for these alone.
+    pub fn retain(&mut self, is_missing: impl Fn(usize) -> bool) {
+        self.0.retain(|unit, _| is_missing(*unit));
+    }
+
+    /// Takes out those that nobody is at work on any more, as the notes say that there are at this time.
+    pub fn left(&mut self, notes: &Notes, now: Instant) -> Vec<usize> {
+        let is_at_work = |unit: &usize, (at, since): &mut (DateTime<Utc>, Instant)| {
+            let Some(note) = notes.get(unit) else {
+                return false;
+            };
+            if note.at != *at {
+                (*at, *since) = (note.at, now);
+            }
+            now.duration_since(*since) < DEAD
+        };
+        let left = self.0.extract_if(.., |unit, seen| !is_at_work(unit, seen));
+        left.map(|(unit, _)| unit).collect()
+    }
 }
 
 #[cfg(test)]
@@ -144,13 +201,20 @@ mod tests {
         let sites = ["a", "b", "c", "d"].map(|site| unit(&store, site));
         let names = sites.clone().map(|unit| name(&unit).unwrap());
         let units: BTreeMap<usize, Unit> = sites.into_iter().enumerate().collect();
-        assert_eq!(at_work(&units).await.unwrap(), []);
+        let at_work = async || at_work(&units).await.unwrap();
+        let shares = async || {
+            let notes = at_work().await.into_iter();
+            notes
+                .map(|(index, note)| (index, note.share))
+                .collect::<Vec<_>>()
+        };
+        assert_eq!(shares().await, []);
 
         let (tell, told) = watch::channel(None);
         tell.send_replace(Some(0.25));
         let every = Duration::from_millis(5);
-        while at_work(&units).await.unwrap().is_empty() {
-            let noting = keep_noting(&store, &names[1], &told, every);
+        while at_work().await.is_empty() {
+            let noting = keep_noting(&store, &names[1], &told, [every; 2]);
             let _ = tokio::time::timeout(Duration::from_millis(100), noting).await;
         }
         let old = Note {
@@ -159,13 +223,38 @@ mod tests {
         };
         store.write_json(&names[2], &old).await.unwrap();
         store.write(&names[3], b"{".to_vec()).await.unwrap();
-        assert_eq!(at_work(&units).await.unwrap(), [(1, Some(0.25))]);
+        assert_eq!(shares().await, [(1, Some(0.25))]);
         let unknown = Note {
             share: None,
             at: Utc::now(),
         };
         store.write_json(&names[0], &unknown).await.unwrap();
         let both = [(0, None), (1, Some(0.25))];
-        assert_eq!(at_work(&units).await.unwrap(), both);
+        assert_eq!(shares().await, both);
+    }
+
+    #[test]
+    fn who_renews_a_note_is_waited_for_and_who_does_not_is_taken_for_dead() {
+        let begun = Utc::now();
+        let noted = |seconds: i64| Note {
+            share: None,
+            at: begun + chrono::Duration::seconds(seconds),
+        };
+        let notes = |of: &[(usize, i64)]| -> Notes {
+            of.iter().map(|(unit, at)| (*unit, noted(*at))).collect()
+        };
+        // Of clocks that are far apart.
+        let mut others = Others::new(&notes(&[(0, 0), (1, -30), (2, 30), (3, 0)]));
+        let now = Instant::now();
+        assert_eq!(others.units(), [0, 1, 2, 3]);
+        let at_work = notes(&[(0, 0), (1, -25), (2, 30)]);
+        assert_eq!(others.left(&at_work, now + DEAD / 2), [3]);
+        let at_work = notes(&[(0, 0), (1, -20), (2, 30), (3, 0)]);
+        assert_eq!(others.left(&at_work, now + 2 * DEAD), [0, 2]);
+        let later = now + 2 * DEAD + DEAD / 2;
+        assert!(others.left(&at_work, later).is_empty());
+        assert!(others.has(1) && !others.has(3));
+        others.retain(|unit| unit != 1);
+        assert!(others.is_empty());
     }
 }

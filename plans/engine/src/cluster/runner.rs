@@ -14,7 +14,7 @@ use tokio::net::TcpListener;
 use tokio::sync::mpsc;
 
 use crate::cluster::job::{UnitTexts, session_config, session_state, unit_text};
-use crate::cluster::note;
+use crate::cluster::note::{self, Others};
 use crate::cluster::scheduler::{Job, JobState, Scheduler, failures};
 use crate::cluster::serve::{ExecutorOptions, serve_units};
 use crate::error::remote_fault;
@@ -225,29 +225,29 @@ impl Wave {
         }
     }
 
-    /// Submits jobs of what has no receipt yet and follows them until they end, nothing has ended for as long as the
-    /// deadline, or the run was stopped. Those that are open then are cancelled.
+    /// Submits jobs of what has no receipt yet, and that nobody is at work on, and follows them until they end, nothing has ended
+    /// for as long as the deadline, or the run was stopped. Those that are open then are cancelled.
     async fn attempt(&self, missing: &mut Missing, progress: &mut Instant) -> Result<(), Lost> {
         // Units that ran when an attempt was given up may have ended since.
         let all: Vec<usize> = missing.keys().copied().collect();
         self.collect(&all, missing, progress).await?;
+        // Such as another run gave up: to be begun once.
+        let mut others = Others::new(&note::at_work(missing).await?);
+        let waited_for = others.units().len();
+        if waited_for > 0 {
+            tracing::info!(waited_for, "executors are at work on units already");
+        }
         let connecting = Scheduler::connect(&self.cluster.scheduler);
         let mut scheduler = self.in_time(*progress, connecting).await?;
         let mut jobs = Vec::new();
-        let mut ended = Ok(());
-        for units in portions(missing)? {
-            let submitting = scheduler.submit(units, &self.cluster.registry);
-            match self.in_time(*progress, submitting).await {
-                Ok(job) => jobs.push(job),
-                Err(lost) => {
-                    ended = Err(lost);
-                    break;
-                }
-            }
-        }
+        let free = missing.iter().filter(|(index, _)| !others.has(**index));
+        let free = portions(free)?;
+        let mut ended = self
+            .submit(&mut scheduler, &mut jobs, free, *progress)
+            .await;
         if ended.is_ok() {
             ended = tokio::select! {
-                ended = self.follow(&mut scheduler, &mut jobs, missing, progress) => ended,
+                ended = self.follow(&mut scheduler, &mut jobs, &mut others, missing, progress) => ended,
                 () = self.outcomes.closed() => Err(Lost::Run),
             };
         }
@@ -255,19 +255,43 @@ impl Wave {
         ended
     }
 
-    /// Follows jobs; those that have ended are taken out.
+    /// Submits a job for each of these portions, which come to the others.
+    async fn submit(
+        &self,
+        scheduler: &mut Scheduler,
+        jobs: &mut Vec<Job>,
+        portions: Vec<UnitTexts>,
+        progress: Instant,
+    ) -> Result<(), Lost> {
+        for units in portions {
+            let submitting = scheduler.submit(units, &self.cluster.registry);
+            jobs.push(self.in_time(progress, submitting).await?);
+        }
+        Ok(())
+    }
+
+    /// Follows jobs; those that have ended are taken out. So are the units that others are at work on: once nobody is, they are
+    /// submitted.
     async fn follow(
         &self,
         scheduler: &mut Scheduler,
         jobs: &mut Vec<Job>,
+        others: &mut Others,
         missing: &mut Missing,
         progress: &mut Instant,
     ) -> Result<(), Lost> {
         let mut looked = Instant::now();
-        while !jobs.is_empty() {
+        while !jobs.is_empty() || !others.is_empty() {
             tokio::time::sleep(POLL).await;
+            self.collect(&others.units(), missing, progress).await?;
+            others.retain(|unit| missing.contains_key(&unit));
             if looked.elapsed() >= note::EVERY {
-                self.tell(missing).await;
+                let left = self.look(missing, others).await;
+                // A note is removed when the receipt is there.
+                self.collect(&left, missing, progress).await?;
+                let left = left.iter().filter_map(|unit| missing.get_key_value(unit));
+                let left = portions(left)?;
+                self.submit(scheduler, jobs, left, *progress).await?;
                 looked = Instant::now();
             }
             let mut index = 0;
@@ -285,21 +309,29 @@ impl Wave {
                     }
                 }
             }
-            if progress.elapsed() >= self.cluster.deadline && !jobs.is_empty() {
+            let is_waiting = !jobs.is_empty() || !others.is_empty();
+            if progress.elapsed() >= self.cluster.deadline && is_waiting {
                 return Err(Lost::Deadline);
             }
         }
         Ok(())
     }
 
-    /// Tells how far units have come that executors are at work on.
-    async fn tell(&self, missing: &Missing) {
-        match note::at_work(missing).await {
-            Ok(found) => found.into_iter().for_each(|(index, share)| {
-                let _ = self.outcomes.send((index, Report::Advanced(share)));
-            }),
-            Err(fault) => tracing::debug!("nobody knows what is at work: {fault}"),
+    /// Tells how far units have come that executors are at work on, and takes out those of others that nobody is at work on any
+    /// more.
+    async fn look(&self, missing: &Missing, others: &mut Others) -> Vec<usize> {
+        let found = match note::at_work(missing).await {
+            Ok(found) => found,
+            Err(fault) => {
+                tracing::debug!("nobody knows what is at work: {fault}");
+                return Vec::new();
+            }
+        };
+        let left = others.left(&found, tokio::time::Instant::now());
+        for (index, note) in found {
+            let _ = self.outcomes.send((index, Report::Advanced(note.share)));
         }
+        left
     }
 
     /// Takes what failed in a job that has ended.
@@ -350,7 +382,9 @@ impl Wave {
 }
 
 /// Units in jobs of [`JOB_BYTES`].
-fn portions(units: &Missing) -> Result<Vec<UnitTexts>, Fault> {
+fn portions<'u>(
+    units: impl Iterator<Item = (&'u usize, &'u Unit)>,
+) -> Result<Vec<UnitTexts>, Fault> {
     let mut portions = Vec::new();
     let (mut portion, mut bytes) = (UnitTexts::new(), 0);
     for (index, unit) in units {

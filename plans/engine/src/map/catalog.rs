@@ -7,10 +7,15 @@ use std::sync::{Arc, Mutex};
 use async_trait::async_trait;
 use datafusion::catalog::{CatalogProvider, SchemaProvider, TableProvider};
 use datafusion::error::Result;
+use datafusion::prelude::SessionContext;
+use datafusion::sql::parser::Statement as Parsed;
+use datafusion::sql::sqlparser::ast::Statement;
+use evermap_schemas::Fault;
 use tokio::sync::OnceCell;
 
-use crate::error::external;
+use crate::error::{OrFault, external};
 use crate::locked::locked;
+use crate::map::logs::LogTables;
 use crate::map::tables::Tables;
 
 /// The schemas of a map.
@@ -52,6 +57,27 @@ pub fn tables_of<'s>(schema: &'s (dyn SchemaProvider + 'static)) -> Option<&'s T
         Some(version) => version.opened.get(),
         None => schema.downcast_ref(),
     }
+}
+
+/// Whether a statement that was planned before would be planned the same way now. Its tables are asked for, as who plans it does:
+/// so the files of layers are looked at. Logs and what functions make of a map are opened by planning alone.
+///
+/// # Errors
+/// What asking for a table says: that its layer's files are not what was written.
+pub async fn is_as_planned(context: &SessionContext, statement: &Statement) -> Result<bool, Fault> {
+    let state = context.state();
+    let statement = Parsed::Statement(Box::new(statement.clone()));
+    for reference in state.resolve_table_references(&statement).or_fault()? {
+        let name = reference.table().to_owned();
+        let Ok(schema) = state.schema_for_ref(reference) else {
+            return Ok(false);
+        };
+        let is_log = schema.is::<LogTables>();
+        if is_log || schema.table(&name).await.or_fault()?.is_none() {
+            return Ok(false);
+        }
+    }
+    Ok(true)
 }
 
 impl CatalogProvider for Catalog {

@@ -27,6 +27,7 @@ pub mod tables;
 mod verify;
 pub mod version;
 
+pub use catalog::is_as_planned;
 pub use diff::{Comparison, LayerDiff, documentation as diff_documentation};
 pub use gc::{Collected, gc};
 pub use lineage::{Origin, documentation as lineage_documentation, lineage};

@@ -2,22 +2,16 @@
 #![allow(clippy::unwrap_used, clippy::panic)]
 
 use std::collections::BTreeSet;
-use std::fmt::{self, Display, Formatter};
-use std::ops::Range;
 use std::sync::Arc;
 use std::time::Duration;
 
 use async_trait::async_trait;
-use bytes::Bytes;
 use datafusion::execution::runtime_env::RuntimeEnv;
 use evermap_datasets::{Dataset, Manifest};
 use evermap_language::Source;
-use futures::stream::BoxStream;
+use evermap_test_data::stores::{Reads, Watched};
 use object_store::path::Path;
-use object_store::{
-    CopyOptions, Error, GetOptions, GetResult, ListResult, MultipartUpload, ObjectMeta,
-    ObjectStore, PutMultipartOptions, PutOptions, PutPayload, PutResult, Result,
-};
+use object_store::{Error, GetOptions, GetResult, ObjectStore, Result};
 use tokio::sync::watch;
 
 use super::*;
@@ -77,10 +71,9 @@ async fn executed(store: &Store, program: &Program, registry: &Registry) -> RunR
     }
 }
 
-/// A store that counts how often a whole artifact is asked for, and gives none before so many are at once.
+/// Counts how often a whole artifact is asked for, and gives none before so many are at once.
 #[derive(Debug)]
 struct Together {
-    inner: Arc<dyn ObjectStore>,
     asked: watch::Sender<usize>,
     least: usize,
 }
@@ -105,55 +98,19 @@ impl Together {
     }
 }
 
-impl Display for Together {
-    fn fmt(&self, f: &mut Formatter<'_>) -> fmt::Result {
-        f.write_str("together")
-    }
-}
-
 #[async_trait]
-impl ObjectStore for Together {
-    async fn get_opts(&self, location: &Path, options: GetOptions) -> Result<GetResult> {
+impl Reads for Together {
+    async fn file(
+        &self,
+        store: &dyn ObjectStore,
+        location: &Path,
+        options: GetOptions,
+    ) -> Result<GetResult> {
         let is_whole = options.range.is_none() && !options.head;
         if is_whole && location.as_ref().contains(ARTIFACTS) {
             self.gather().await?;
         }
-        self.inner.get_opts(location, options).await
-    }
-
-    async fn get_ranges(&self, location: &Path, ranges: &[Range<u64>]) -> Result<Vec<Bytes>> {
-        self.inner.get_ranges(location, ranges).await
-    }
-
-    async fn put_opts(&self, l: &Path, p: PutPayload, o: PutOptions) -> Result<PutResult> {
-        self.inner.put_opts(l, p, o).await
-    }
-
-    async fn put_multipart_opts(
-        &self,
-        l: &Path,
-        o: PutMultipartOptions,
-    ) -> Result<Box<dyn MultipartUpload>> {
-        self.inner.put_multipart_opts(l, o).await
-    }
-
-    fn delete_stream(
-        &self,
-        l: BoxStream<'static, Result<Path>>,
-    ) -> BoxStream<'static, Result<Path>> {
-        self.inner.delete_stream(l)
-    }
-
-    fn list(&self, prefix: Option<&Path>) -> BoxStream<'static, Result<ObjectMeta>> {
-        self.inner.list(prefix)
-    }
-
-    async fn list_with_delimiter(&self, prefix: Option<&Path>) -> Result<ListResult> {
-        self.inner.list_with_delimiter(prefix).await
-    }
-
-    async fn copy_opts(&self, from: &Path, to: &Path, o: CopyOptions) -> Result<()> {
-        self.inner.copy_opts(from, to, o).await
+        store.get_opts(location, options).await
     }
 }
 
@@ -170,13 +127,8 @@ async fn what_is_reused_is_read_side_by_side_and_once() {
 
     let (asked, count) = watch::channel(0);
     let least = files.len();
-    let store = store.over(|inner| {
-        Arc::new(Together {
-            inner,
-            asked,
-            least,
-        })
-    });
+    let reads = Together { asked, least };
+    let store = store.over(|store| Arc::new(Watched { store, reads }));
     let again = executed(&store, &program, &registry).await;
     assert!(again.units.iter().all(|(_, _, cached)| *cached));
     assert_eq!((again.published, *count.borrow()), (false, least));

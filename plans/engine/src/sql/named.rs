@@ -1,15 +1,16 @@
 //! Columns of an answer that would have one name: `SELECT stamp, CAST(stamp AS DATE)`. Others call both `stamp`, and
 //! DataFusion refuses them, as a cast has the name of what it casts. Here the later ones are `stamp_1`, `stamp_2` …. So are
 //! casts of what rows are ordered by, `SELECT CAST(stamp AS DATE) … ORDER BY stamp`: DataFusion has the column itself beside
-//! them until rows are in order.
+//! them until rows are in order. Where rows are distinct, they are ordered by columns of the answer alone: a cast among these is
+//! said by its place, as DataFusion finds it by nothing else.
 
 use std::collections::HashSet;
 use std::convert::Infallible;
 use std::ops::ControlFlow;
 
 use datafusion::sql::sqlparser::ast::{
-    Expr, Ident, OrderByKind, Query, Select, SelectItem, SetExpr, Statement, VisitMut, VisitorMut,
-    visit_expressions,
+    Distinct, Expr, Ident, OrderByKind, Query, Select, SelectItem, SetExpr, Statement, Value,
+    VisitMut, VisitorMut, visit_expressions,
 };
 
 /// Names the columns of a statement's queries apart. What has a name of its own keeps it.
@@ -23,9 +24,16 @@ impl VisitorMut for Apart {
     type Break = Infallible;
 
     fn pre_visit_query(&mut self, query: &mut Query) -> ControlFlow<Infallible> {
-        if let (SetExpr::Select(select), Some(order)) = (query.body.as_mut(), &query.order_by)
-            && let OrderByKind::Expressions(order) = &order.kind
+        if let (SetExpr::Select(select), Some(order)) = (query.body.as_mut(), &mut query.order_by)
+            && let OrderByKind::Expressions(order) = &mut order.kind
         {
+            if matches!(select.distinct, Some(Distinct::Distinct)) {
+                for by in order.iter_mut() {
+                    if let Some(place) = place_of_cast(&by.expr, &select.projection) {
+                        by.expr = Expr::Value(Value::Number(place.to_string(), false).into());
+                    }
+                }
+            }
             let by = order.iter().map(|by| &by.expr);
             let by = ordered_by(by, &select.projection);
             apart(&mut select.projection, &by);
@@ -57,6 +65,25 @@ fn ordered_by<'e>(by: impl Iterator<Item = &'e Expr>, items: &[SelectItem]) -> V
         });
     }
     ordered
+}
+
+/// The place in an answer, from 1 on, of the cast that rows are ordered by: as it is written, or by the name that it has from
+/// what it casts. `None` where there is none, or others of that name.
+fn place_of_cast(by: &Expr, items: &[SelectItem]) -> Option<usize> {
+    let called = match by {
+        Expr::Identifier(name) => Some(known(name)),
+        _ => None,
+    };
+    let is_meant = |item: &SelectItem| match item {
+        SelectItem::UnnamedExpr(expr) if expr == by => true,
+        // Of what a table has nobody knows how many there are.
+        item => name(item).is_none_or(|name| called.as_ref() == Some(&name)),
+    };
+    let mut meant = items.iter().enumerate().filter(|(_, item)| is_meant(item));
+    match (meant.next()?, meant.next()) {
+        ((place, SelectItem::UnnamedExpr(expr)), None) => is_cast(expr).then_some(place + 1),
+        _ => None,
+    }
 }
 
 /// Whether it is a cast of one of these, which may be named with their table or without.
@@ -144,7 +171,7 @@ mod tests {
     #[tokio::test]
     async fn columns_of_one_name_are_told_apart() {
         let context = context(Limits::one_partition()).unwrap();
-        let cases: [(&str, &[&str]); 14] = [
+        let cases: [(&str, &[&str]); 17] = [
             ("x, x::INT", &["x", "x_1"]),
             (
                 "x, CAST(X AS DOUBLE), (x), 2 AS x_1",
@@ -167,6 +194,12 @@ mod tests {
             ("x::TEXT FROM t ORDER BY x::TEXT", &["t.x"]),
             ("x::TEXT FROM t ORDER BY 1", &["t.x"]),
             ("(x) FROM t ORDER BY x", &["x"]),
+            ("DISTINCT x::TEXT FROM t ORDER BY x", &["t.x"]),
+            ("DISTINCT x::TEXT FROM t ORDER BY x::TEXT DESC", &["t.x"]),
+            (
+                "DISTINCT x + 1 AS y, (t.x::TEXT) FROM t ORDER BY X, y",
+                &["y", "t.x"],
+            ),
         ];
         for (columns, expected) in cases {
             let from = if columns.contains("FROM") {
@@ -192,6 +225,14 @@ mod tests {
         let rows = frame.collect().await.unwrap();
         let first = arrow::util::display::array_value_to_string(rows[0].column(0), 0).unwrap();
         assert_eq!(first, "9");
+        // Distinct ones by what is in the answer.
+        let query = "SELECT DISTINCT x::TEXT FROM (VALUES (9), (10)) AS t(x) ORDER BY x";
+        let frame = read_only(&context, query).await.unwrap();
+        let rows = frame.collect().await.unwrap();
+        let first = arrow::util::display::array_value_to_string(rows[0].column(0), 0).unwrap();
+        assert_eq!(first, "10");
+        let other = "SELECT DISTINCT x::TEXT FROM (VALUES (9), (10)) AS t(x) ORDER BY t.x";
+        assert!(read_only(&context, other).await.is_err());
         let frame = read_only(&context, "SELECT 1, 1").await.unwrap();
         assert_eq!(frame.schema().fields()[1].name(), "1_1");
         let said = read_only(&context, "SELECT 1 AS a, 2 AS a").await;

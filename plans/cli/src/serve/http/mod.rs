@@ -33,7 +33,8 @@ use crate::serve::http::conversation::{Door, converse};
 use crate::serve::http::metrics::Counts;
 pub use crate::serve::http::refusal::{Asks, Refusal};
 use crate::serve::maps::{Maps, ServedMap};
-use crate::serve::patience::{Exchanges, accept};
+use crate::serve::patience::{Exchanges, TOLD, accept};
+use crate::serve::places::Places;
 use crate::serve::teach::Teaching;
 
 /// What handlers answer from.
@@ -58,6 +59,7 @@ impl App {
 /// Serves maps for ever.
 pub async fn serve(
     listener: TcpListener,
+    places: Places,
     maps: Maps,
     access: Access,
     bounds: Bounds,
@@ -69,11 +71,22 @@ pub async fn serve(
         access: access.clone(),
         router: router(maps, access, bounds, teaching),
     };
-    let answered = move |socket, asked| {
-        let exchanges = Exchanges::new(longest);
-        converse(socket, door.clone(), asked, exchanges)
+    let answered = move |socket, asked, refused: Option<Fault>| {
+        let mut door = door.clone();
+        let mut exchanges = Exchanges::new(longest);
+        if let Some(fault) = refused {
+            door.router = refusing(fault);
+            exchanges = Exchanges::resting(TOLD, TOLD);
+        }
+        converse(socket, door, asked, exchanges)
     };
-    accept(listener, answered).await;
+    accept(listener, places, answered).await;
+}
+
+/// Answers every request with what is wrong.
+fn refusing(fault: Fault) -> Router {
+    let told = move || std::future::ready(Refusal::from(fault.clone()));
+    Router::new().fallback(told)
 }
 
 fn router(maps: Maps, access: Access, bounds: Bounds, teaching: Option<Arc<Teaching>>) -> Router {

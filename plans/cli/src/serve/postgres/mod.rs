@@ -2,6 +2,7 @@
 //! said, what an answer may take. The database that a client names is the map; where one map is served, any name is.
 
 mod answering;
+mod arrays;
 mod catalog;
 mod connection;
 mod cursors;
@@ -17,6 +18,7 @@ mod parameters;
 mod postgis;
 mod spatial;
 mod startup;
+mod tokens;
 mod transactions;
 mod types;
 mod values;
@@ -32,6 +34,7 @@ use datafusion::sql::sqlparser::ast::Statement;
 use datafusion::sql::sqlparser::dialect::PostgreSqlDialect;
 use datafusion_postgres::DfSessionService;
 use evermap_engine::error::fault_of;
+use evermap_engine::map::is_as_planned;
 use evermap_engine::sql::{NO_TABLE, check_size};
 use evermap_schemas::{Fault, Kind};
 use futures::Sink;
@@ -53,6 +56,7 @@ use crate::serve::access::Access;
 use crate::serve::answer::{Bounds, Turn};
 use crate::serve::maps::{Maps, Opened};
 use crate::serve::patience::{Asked, accept};
+use crate::serve::places::Places;
 use crate::serve::postgres::answering::{all_rows, bounded, cancelled, never, rows_wanted};
 use crate::serve::postgres::connection::Handlers;
 use crate::serve::postgres::hooks::fault_in_our_words;
@@ -65,19 +69,22 @@ pub use postgis::complete as complete_types;
 /// A statement of a client with its plan, as `datafusion-postgres` has it.
 type Prepared = (String, Option<(Statement, LogicalPlan)>);
 
-/// Serves maps for ever. So many clients at once; more are refused.
+/// Serves maps for ever. So many clients that are in at once, of all that have a place; more are refused.
 pub async fn serve(
     listener: TcpListener,
+    places: Places,
     maps: Maps,
     access: Access,
     bounds: Bounds,
     connections: usize,
 ) {
     let manager = Arc::new(ConnectionManager::new());
-    let places = Arc::new(Semaphore::new(connections));
+    let clients = Arc::new(Semaphore::new(connections));
     let tls = access.tls(&["postgresql"]);
-    let answered = move |socket, asked: Asked| {
-        let startup = Startup::new(&access, Arc::clone(&manager), Arc::clone(&places), asked);
+    let answered = move |socket, asked: Asked, refused: Option<Fault>| {
+        let manager = Arc::clone(&manager);
+        let clients = Arc::clone(&clients);
+        let startup = Startup::new(&access, Arc::clone(&manager), clients, asked, refused);
         let queries = Queries {
             parser: Arc::new(Parser { maps: maps.clone() }),
             bounds: bounds.clone(),
@@ -85,11 +92,11 @@ pub async fn serve(
         let handlers = Handlers {
             startup: Arc::new(startup),
             queries: Arc::new(queries),
-            cancel: Arc::new(DefaultCancelHandler::new(Arc::clone(&manager))),
+            cancel: Arc::new(DefaultCancelHandler::new(manager)),
         };
         handlers.converse(socket, tls.clone())
     };
-    accept(listener, answered).await;
+    accept(listener, places, answered).await;
 }
 
 /// Answers queries by the newest version of a map, and within bounds.
@@ -130,8 +137,9 @@ impl SimpleQueryHandler for Queries {
         PgWireError: From<<C as Sink<PgWireBackendMessage>>::Error>,
     {
         let opened = self.parser.opened(client, query).await?;
+        let query = arrays::as_lists(query)?;
         let service = &opened.postgres;
-        let work = SimpleQueryHandler::do_query(service, client, query);
+        let work = SimpleQueryHandler::do_query(service, client, &query);
         let (responses, turn) = self.within(work).await?;
         let cancelled = cancelled(client).await;
         let responses = responses.into_iter();
@@ -234,8 +242,8 @@ fn noted(query: &str, opened: &Opened) -> String {
 }
 
 impl Parser {
-    /// A portal as it is, or, where a version was published since it was planned, planned again: a statement that is
-    /// prepared once reads the newest version each time.
+    /// A portal as it is, or, where a version was published since it was planned, or it reads a log, planned again: a statement
+    /// that is prepared once reads what there is each time.
     async fn of_newest<C>(
         &self,
         client: &C,
@@ -252,7 +260,14 @@ impl Parser {
             .0
             .split_once('\n')
             .map_or("", |(_, query)| query);
-        if old.statement.0 != noted(query, newest) {
+        let is_as_planned = match &old.statement.1 {
+            _ if old.statement.0 != noted(query, newest) => false,
+            Some((statement, _)) => is_as_planned(&newest.context, statement)
+                .await
+                .map_err(|fault| said(&fault))?,
+            None => true,
+        };
+        if !is_as_planned {
             let planned = self.parse_sql(client, query, &old.parameter_types).await?;
             let planned = planned.unwrap_or_else(|| old.statement.clone());
             if columns(&planned) != columns(&old.statement) {
@@ -342,7 +357,8 @@ impl QueryParser for Parser {
     {
         let opened = self.opened(client, query).await?;
         let parser = opened.postgres.query_parser();
-        let typed = parameters::as_declared(query, types);
+        let lists = arrays::as_lists(query)?;
+        let typed = parameters::as_declared(&lists, types);
         let planned = parser.parse_sql(client, &typed, types).await;
         let planned = planned.map_err(fault_in_our_words)?;
         Ok(planned.map(|(_, plan)| (noted(query, &opened), plan)))

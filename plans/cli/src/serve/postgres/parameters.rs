@@ -12,9 +12,8 @@ use datafusion::common::tree_node::{Transformed, TreeNode, TreeNodeRecursion};
 use datafusion::common::{DFSchema, ParamValues, Result, ScalarValue};
 use datafusion::logical_expr::expr::Placeholder;
 use datafusion::logical_expr::{Expr, ExprSchemable, LogicalPlan};
-use datafusion::sql::sqlparser::dialect::PostgreSqlDialect;
 use datafusion::sql::sqlparser::keywords::Keyword;
-use datafusion::sql::sqlparser::tokenizer::{Token, TokenWithSpan, Tokenizer};
+use datafusion::sql::sqlparser::tokenizer::{Token, TokenWithSpan};
 use datafusion_postgres::arrow_pg::datatypes::df::deserialize_parameters_with_server_types;
 use evermap_engine::error::fault_of;
 use evermap_functions::caught;
@@ -24,6 +23,7 @@ use pgwire::api::stmt::{QueryParser, StoredStatement};
 use pgwire::error::PgWireResult;
 
 use crate::serve::postgres::expression::each_expression;
+use crate::serve::postgres::tokens::{changed, tokens};
 use crate::serve::postgres::values::{Bound, Value, none_of_its_type};
 use crate::serve::postgres::{Prepared, TYPES, error, said};
 
@@ -37,10 +37,7 @@ const HAS: &str = "array_has";
 ///
 /// Texts and exact numbers that are cast as they are stay: they are read as what they are cast to.
 pub fn as_declared<'q>(query: &'q str, types: &[Option<Type>]) -> Cow<'q, str> {
-    let tokens = Tokenizer::new(&PostgreSqlDialect {}, query).tokenize_with_location();
-    // What has no tokens is told by who parses it.
-    let mut tokens = tokens.unwrap_or_default();
-    tokens.retain(|token| !matches!(token.token, Token::Whitespace(_)));
+    let tokens = tokens(query);
     let casts = tokens.iter().enumerate().filter_map(|(place, found)| {
         let Token::Placeholder(name) = &found.token else {
             return None;
@@ -49,30 +46,9 @@ pub fn as_declared<'q>(query: &'q str, types: &[Option<Type>]) -> Cow<'q, str> {
         let declared = types.get(number)?.as_ref()?;
         let stays = is_read_as_cast(declared) && is_cast(&tokens, place);
         let cast = format!("CAST({name} AS {})", written(declared)?);
-        (!stays).then_some((found.span.start, name.chars().count(), cast))
+        (!stays).then_some((found.span, cast))
     });
-    let mut casts = casts.peekable();
-    if casts.peek().is_none() {
-        return Cow::Borrowed(query);
-    }
-    let mut made = String::with_capacity(query.len());
-    let (mut line, mut column, mut passed_over) = (1, 1, 0);
-    for letter in query.chars() {
-        let is_here = casts.next_if(|(start, ..)| (start.line, start.column) == (line, column));
-        if let Some((_, letters, cast)) = is_here {
-            made.push_str(&cast);
-            passed_over = letters;
-        }
-        match passed_over {
-            0 => made.push(letter),
-            _ => passed_over -= 1,
-        }
-        (line, column) = match letter {
-            '\n' => (line + 1, 1),
-            _ => (line, column + 1),
-        };
-    }
-    Cow::Owned(made)
+    changed(query, casts.collect())
 }
 
 /// Types as SQL has them; `None` for those that are left to whoever reads the parameter. Exact numbers are what literals with
@@ -85,7 +61,8 @@ fn written(declared: &Type) -> Option<&'static str> {
         Type::INT8 => "BIGINT",
         Type::FLOAT4 => "REAL",
         Type::FLOAT8 | Type::NUMERIC => "DOUBLE PRECISION",
-        Type::TEXT | Type::VARCHAR => "TEXT",
+        // A map has none but as texts.
+        Type::TEXT | Type::VARCHAR | Type::UUID => "TEXT",
         Type::BYTEA => "BYTEA",
         Type::DATE => "DATE",
         Type::TIME => "TIME",
@@ -98,7 +75,7 @@ fn written(declared: &Type) -> Option<&'static str> {
         Type::INT8_ARRAY => "BIGINT[]",
         Type::FLOAT4_ARRAY => "REAL[]",
         Type::FLOAT8_ARRAY | Type::NUMERIC_ARRAY => "DOUBLE PRECISION[]",
-        Type::TEXT_ARRAY | Type::VARCHAR_ARRAY => "TEXT[]",
+        Type::TEXT_ARRAY | Type::VARCHAR_ARRAY | Type::UUID_ARRAY => "TEXT[]",
         Type::DATE_ARRAY => "DATE[]",
         Type::TIMESTAMP_ARRAY => "TIMESTAMP[]",
         Type::TIMESTAMPTZ_ARRAY => "TIMESTAMPTZ[]",

@@ -4,6 +4,7 @@ use std::fmt::Debug;
 use std::sync::Arc;
 
 use async_trait::async_trait;
+use evermap_schemas::Fault;
 use futures::Sink;
 use pgwire::api::auth::noop::NoopStartupHandler;
 use pgwire::api::auth::sasl::SASLAuthStartupHandler;
@@ -25,6 +26,8 @@ pub struct Startup {
     /// Of clients that are in.
     places: Arc<Semaphore>,
     asked: Asked,
+    /// Why there is no place for the client.
+    refused: Option<Fault>,
 }
 
 enum By {
@@ -52,12 +55,13 @@ pub fn is_in<C: ClientInfo>(client: &C) -> bool {
 }
 
 impl Startup {
-    /// For one connection, which takes one of the places when its client is in.
+    /// For one connection, which takes one of the places when its client is in, or is refused for this reason.
     pub fn new(
         access: &Access,
         manager: Arc<ConnectionManager>,
         places: Arc<Semaphore>,
         asked: Asked,
+        refused: Option<Fault>,
     ) -> Self {
         let by = match access.users() {
             None => By::Anybody(Anybody(manager)),
@@ -73,6 +77,7 @@ impl Startup {
             access: access.clone(),
             places,
             asked,
+            refused,
         }
     }
 }
@@ -96,6 +101,9 @@ impl StartupHandler for Startup {
                 "expected TLS: connect with sslmode=require",
             ));
         }
+        if let Some(fault) = &self.refused {
+            return Err(full(fault));
+        }
         let done = match &self.by {
             By::Anybody(handler) => handler.on_startup(client, message).await,
             By::Password(handler) => {
@@ -109,13 +117,21 @@ impl StartupHandler for Startup {
         done.map_err(fatal)?;
         if matches!(client.state(), PgWireConnectionState::ReadyForQuery) {
             let place = Arc::clone(&self.places).try_acquire_owned();
-            let full = |_| error("FATAL", "53300", "too many connections; try again later");
-            let _place = place.map_err(full)?;
+            let all = |_| error("FATAL", "53300", "too many connections; try again later");
+            let _place = place.map_err(all)?;
             client.session_extensions().insert(In { _place });
             self.asked.now();
         }
         Ok(())
     }
+}
+
+/// That there is no place for a client.
+fn full(fault: &Fault) -> PgWireError {
+    let (severity, code) = ("FATAL".to_owned(), "53300".to_owned());
+    let mut info = ErrorInfo::new(severity, code, fault.message.clone());
+    info.hint = Some(fault.next.clone());
+    PgWireError::UserError(Box::new(info))
 }
 
 /// Whatever goes wrong before a client is in ends the connection.

@@ -1,4 +1,4 @@
-//! What a client binds, read as Postgres reads it where the library does not: texts, lists of them, and exact numbers.
+//! What a client binds, read as Postgres reads it where the library does not: texts, lists of them, exact numbers, and UUIDs.
 
 use std::fmt::Write;
 
@@ -9,7 +9,9 @@ use datafusion::common::ScalarValue;
 use datafusion::common::utils::SingleRowListArrayBuilder;
 use pgwire::api::Type;
 use pgwire::error::{PgWireError, PgWireResult};
+use uuid::Uuid;
 
+use crate::serve::postgres::arrays::elements;
 use crate::serve::postgres::error;
 use crate::serve::postgres::wire::Body;
 
@@ -54,10 +56,11 @@ impl Bound<'_> {
     /// For what is none of its type.
     pub fn read(self) -> PgWireResult<Option<Value>> {
         let is_number = matches!(*self.kind, Type::NUMERIC | Type::NUMERIC_ARRAY);
+        let is_uuid = matches!(*self.kind, Type::UUID | Type::UUID_ARRAY);
         let item = match (self.kind, self.target) {
-            (&Type::NUMERIC, _) => None,
+            (&Type::NUMERIC | &Type::UUID, _) => None,
             (_, DataType::List(item)) => Some(item.data_type()),
-            (&Type::NUMERIC_ARRAY, other) => Some(other),
+            (&Type::NUMERIC_ARRAY | &Type::UUID_ARRAY, other) => Some(other),
             _ => None,
         };
         let target = match item.unwrap_or(self.target) {
@@ -66,21 +69,24 @@ impl Bound<'_> {
             DataType::Dictionary(_, value) => value.as_ref(),
             other => other,
         };
-        let texts = match (is_number && !self.is_text, item.is_some()) {
-            (true, true) => numerics(self.bytes).ok_or_else(none_of_its_type)?,
-            (true, false) => one(&numeric(self.bytes).ok_or_else(none_of_its_type)?),
-            (false, _) if !self.is_read_here(item.is_some(), target) => return Ok(None),
-            (false, true) => {
-                elements(self.text()?).ok_or_else(|| self.is_none("a list such as {1,2}"))?
-            }
-            (false, false) if target.is_string() => one(self.text()?),
-            (false, false) => one(self.text()?.trim()),
+        let format = Format::of(self.kind).filter(|_| !self.is_text);
+        let texts = match (format, item.is_some()) {
+            (Some(format), true) => format.many(self.bytes).ok_or_else(none_of_its_type)?,
+            (Some(format), false) => one(&(format.read)(self.bytes).ok_or_else(none_of_its_type)?),
+            (None, _) if !self.is_read_here(item.is_some(), target) => return Ok(None),
+            (None, true) => elements(self.text()?)?,
+            (None, false) if target.is_string() => one(self.text()?),
+            (None, false) => one(self.text()?.trim()),
+        };
+        let expected = format!("a value of the type {}", self.kind.name());
+        let texts = match is_uuid {
+            true => uuids(&texts).ok_or_else(|| self.is_none(&expected))?,
+            false => texts,
         };
         let made = match is_number && target.is_integer() {
             true => cast(&without_fractions(&texts), target),
             false => cast(&texts, target),
         };
-        let expected = format!("a value of the type {}", self.kind.name());
         let made = made.ok_or_else(|| self.is_none(&expected))?;
         let scalar = |made: ArrayRef| match item {
             Some(_) => Some(SingleRowListArrayBuilder::new(made).build_list_scalar()),
@@ -93,12 +99,12 @@ impl Bound<'_> {
         }))
     }
 
-    /// Whether it is a text that is read here: of what no type is said, lists, exact numbers, and types that the library does
-    /// not know.
+    /// Whether it is a text that is read here: of what no type is said, lists, exact numbers, UUIDs, and types that the library
+    /// does not know.
     fn is_read_here(self, is_list: bool, target: &DataType) -> bool {
         let is_new = matches!(
             *self.kind,
-            Type::JSON | Type::JSONB | Type::BPCHAR | Type::NAME | Type::NUMERIC
+            Type::JSON | Type::JSONB | Type::BPCHAR | Type::NAME | Type::NUMERIC | Type::UUID
         );
         let is_theirs = target.is_binary()
             || target.is_nested()
@@ -114,12 +120,16 @@ impl Bound<'_> {
     }
 
     fn is_none(&self, expected: &str) -> PgWireError {
-        let text = String::from_utf8_lossy(self.bytes);
-        let told: String = text.chars().take(TOLD).collect();
-        let more = if told.len() < text.len() { "…" } else { "" };
-        let message = format!("expected {expected}, found `{told}{more}`");
-        error("ERROR", "22P02", &message)
+        found_other(&String::from_utf8_lossy(self.bytes), expected)
     }
+}
+
+/// The error for a text that is not what is expected.
+pub fn found_other(text: &str, expected: &str) -> PgWireError {
+    let told: String = text.chars().take(TOLD).collect();
+    let more = if told.len() < text.len() { "…" } else { "" };
+    let message = format!("expected {expected}, found `{told}{more}`");
+    error("ERROR", "22P02", &message)
 }
 
 /// The error for bytes that are not what they should be.
@@ -157,61 +167,6 @@ fn without_fractions(numbers: &StringArray) -> StringArray {
         _ => number.to_owned(),
     };
     numbers.iter().map(|number| number.map(short)).collect()
-}
-
-/// The elements of a list as Postgres writes one, `{a,"b, c",NULL}`; `None` where it is none, or one of lists.
-fn elements(text: &str) -> Option<StringArray> {
-    let mut letters = text.trim().strip_prefix('{')?.chars().peekable();
-    let mut found = StringBuilder::new();
-    let mut element = String::new();
-    let mut is_first = true;
-    loop {
-        while letters
-            .next_if(|letter| letter.is_ascii_whitespace())
-            .is_some()
-        {}
-        if is_first && letters.next_if_eq(&'}').is_some() {
-            break;
-        }
-        is_first = false;
-        element.clear();
-        let is_quoted = letters.next_if_eq(&'"').is_some();
-        let mut is_plain = !is_quoted;
-        // Blanks behind an element are none of it, unless they are escaped.
-        let mut length = 0;
-        while is_quoted || !matches!(letters.peek(), Some(',' | '}')) {
-            match (letters.next()?, is_quoted) {
-                ('\\', _) => {
-                    element.push(letters.next()?);
-                    (is_plain, length) = (false, element.len());
-                }
-                ('"', true) => break,
-                ('"' | '{', false) => return None,
-                (letter, _) => {
-                    element.push(letter);
-                    if is_quoted || !letter.is_ascii_whitespace() {
-                        length = element.len();
-                    }
-                }
-            }
-        }
-        element.truncate(length);
-        match is_plain {
-            true if element.is_empty() => return None,
-            true if element.eq_ignore_ascii_case("null") => found.append_null(),
-            _ => found.append_value(&element),
-        }
-        while letters
-            .next_if(|letter| letter.is_ascii_whitespace())
-            .is_some()
-        {}
-        match letters.next()? {
-            ',' => {}
-            '}' => break,
-            _ => return None,
-        }
-    }
-    letters.next().is_none().then(|| found.finish())
 }
 
 /// A `numeric` in the format of bytes as its digits: groups of four, the place of the first, a sign, and how many digits
@@ -262,29 +217,64 @@ fn numeric(bytes: &[u8]) -> Option<String> {
     Some(text)
 }
 
-/// A list of `numeric` in the format of bytes; `None` where it is none, or one of lists.
-fn numerics(bytes: &[u8]) -> Option<StringArray> {
-    let mut body = Body(bytes);
-    let dimensions = i32::from_be_bytes(body.number()?);
-    let _has_null = body.number::<4>()?;
-    let of = u32::from_be_bytes(body.number()?);
-    let length = match dimensions {
-        0 => 0,
-        1 => {
-            let length = i32::from_be_bytes(body.number()?);
-            let _first = body.number::<4>()?;
-            length
-        }
-        _ => return None,
+/// UUIDs as Postgres writes them, with dashes; `None` where one of them is none.
+fn uuids(texts: &StringArray) -> Option<StringArray> {
+    let written = |text: Option<&str>| match text {
+        Some(text) => Some(Some(Uuid::parse_str(text).ok()?.to_string())),
+        None => Some(None),
     };
-    let mut found = StringBuilder::new();
-    for _ in 0..length {
-        match i32::from_be_bytes(body.number()?) {
-            -1 => found.append_null(),
-            size => found.append_value(numeric(body.skip(usize::try_from(size).ok()?)?)?),
-        }
+    texts.iter().map(written).collect()
+}
+
+/// A UUID in the format of bytes as a text; `None` where it is none.
+fn uuid(bytes: &[u8]) -> Option<String> {
+    Uuid::from_slice(bytes).ok().map(|uuid| uuid.to_string())
+}
+
+/// How the bytes of a type are read that the library does not read.
+#[derive(Clone, Copy)]
+struct Format {
+    /// The number of the type, in lists too.
+    oid: u32,
+    /// One value as a text; `None` where it is none.
+    read: fn(&[u8]) -> Option<String>,
+}
+
+impl Format {
+    fn of(kind: &Type) -> Option<Self> {
+        let (of, read): (Type, fn(&[u8]) -> Option<String>) = match *kind {
+            Type::NUMERIC | Type::NUMERIC_ARRAY => (Type::NUMERIC, numeric),
+            Type::UUID | Type::UUID_ARRAY => (Type::UUID, uuid),
+            _ => return None,
+        };
+        let oid = of.oid();
+        Some(Self { oid, read })
     }
-    (of == Type::NUMERIC.oid() && body.0.is_empty()).then(|| found.finish())
+
+    /// A list of values; `None` where it is none, or one of lists.
+    fn many(self, bytes: &[u8]) -> Option<StringArray> {
+        let mut body = Body(bytes);
+        let dimensions = i32::from_be_bytes(body.number()?);
+        let _has_null = body.number::<4>()?;
+        let of = u32::from_be_bytes(body.number()?);
+        let length = match dimensions {
+            0 => 0,
+            1 => {
+                let length = i32::from_be_bytes(body.number()?);
+                let _first = body.number::<4>()?;
+                length
+            }
+            _ => return None,
+        };
+        let mut found = StringBuilder::new();
+        for _ in 0..length {
+            match i32::from_be_bytes(body.number()?) {
+                -1 => found.append_null(),
+                size => found.append_value((self.read)(body.skip(usize::try_from(size).ok()?)?)?),
+            }
+        }
+        (of == self.oid && body.0.is_empty()).then(|| found.finish())
+    }
 }
 
 #[cfg(test)]

@@ -157,6 +157,7 @@ impl Site {
         let author = word(author)?;
         let saved = {
             let mut told = self.told.lock().await;
+            told.know_images(features).await?;
             tokio::task::block_in_place(|| told.say(author, features))?
         };
         // Of people the next run learns, from images.

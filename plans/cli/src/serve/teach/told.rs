@@ -101,6 +101,12 @@ impl Told {
         self.last_ns
     }
 
+    /// As [`State::know_images`]: to be asked before these features are said.
+    pub(super) async fn know_images(&mut self, features: &[Feature]) -> Result<(), Fault> {
+        let reader = &self.opened.reader;
+        self.state.know_images(reader, features).await
+    }
+
     pub(super) fn say(&mut self, author: &str, features: &[Feature]) -> Result<Saved, Fault> {
         let speaker = Speaker {
             author: author.to_owned(),

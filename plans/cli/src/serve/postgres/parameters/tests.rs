@@ -3,6 +3,7 @@
 use arrow::array::{AsArray, RecordBatch};
 use bytes::Bytes;
 use datafusion::prelude::{DataFrame, SessionContext};
+use datafusion::sql::sqlparser::dialect::PostgreSqlDialect;
 use datafusion::sql::sqlparser::parser::Parser;
 use evermap_engine::sql::{Limits, context, planned};
 

@@ -68,44 +68,7 @@ fn texts_of_no_type_are_what_their_place_has() {
 }
 
 #[test]
-fn lists_are_read_as_postgres_writes_them() {
-    for (text, expected) in [
-        ("{}", &[][..]),
-        ("{my lot,lot}", &[Some("my lot"), Some("lot")]),
-        ("{NULL,\"NULL\",null}", &[None, Some("NULL"), None]),
-        (
-            "{\"a, {b}\",\"\\\"\\\\\",\"\"}",
-            &[Some("a, {b}"), Some("\"\\"), Some("")],
-        ),
-        (
-            " { a b , \" c \" , d\\ } ",
-            &[Some("a b"), Some(" c "), Some("d ")],
-        ),
-    ] {
-        let found = elements(text).unwrap();
-        assert_eq!(found.iter().collect::<Vec<_>>(), expected, "{text}");
-    }
-    for text in [
-        "",
-        "{",
-        "a",
-        "{a",
-        "{a}}",
-        "{a},",
-        "{,}",
-        "{a,}",
-        "{\"a}",
-        "{\"a\"b}",
-        "{{1},{2}}",
-        "{a\\",
-        "[1:1]={a}",
-    ] {
-        assert_eq!(elements(text), None, "{text}");
-        assert!(
-            read(text, None, &list_of(DataType::Utf8)).is_err(),
-            "{text}"
-        );
-    }
+fn lists_are_of_the_type_of_their_place() {
     let numbers = value(
         "{1,NULL,-3}",
         Some(&Type::INT2_ARRAY),
@@ -117,7 +80,12 @@ fn lists_are_read_as_postgres_writes_them() {
     let numbers = numbers.value(0);
     let numbers: Vec<_> = numbers.as_primitive::<Int64Type>().iter().collect();
     assert_eq!(numbers, [Some(1), None, Some(-3)]);
-    assert!(read("{1,x}", None, &list_of(DataType::UInt32)).is_err());
+    for text in ["{1,x}", "{1,{2}}"] {
+        assert!(
+            read(text, None, &list_of(DataType::UInt32)).is_err(),
+            "{text}"
+        );
+    }
     let ScalarValue::List(none) = value("{}", None, &list_of(DataType::UInt32)) else {
         unreachable!("no list");
     };
@@ -202,10 +170,63 @@ fn exact_numbers_are_read_from_bytes() {
     }
     list.extend(u32::try_from(right.len()).unwrap().to_be_bytes());
     list.extend(&right);
+    let numerics = |list: &[u8]| Format::of(&Type::NUMERIC_ARRAY).unwrap().many(list);
     assert_eq!(numerics(&list), None, "one is missing");
     list.extend((-1_i32).to_be_bytes());
     let found = numerics(&list).unwrap();
     assert_eq!(found.iter().collect::<Vec<_>>(), [Some("1.5"), None]);
     list[12..16].copy_from_slice(&i32::MAX.to_be_bytes());
     assert_eq!(numerics(&list), None, "billions of them");
+}
+
+/// Clients say them without dashes, or by their bytes.
+#[test]
+fn uuids_are_texts_with_dashes() {
+    let id = Uuid::from_u128(0x0193_F0A1_7E2B_7C3D_8E4F_5A6B_7C8D_9E0F);
+    let expected = id.to_string();
+    assert_eq!(expected, "0193f0a1-7e2b-7c3d-8e4f-5a6b7c8d9e0f");
+    let written = [id.simple().to_string(), expected.to_uppercase()];
+    for text in &written {
+        for target in [DataType::Utf8, DataType::Null] {
+            let found = value(text, Some(&Type::UUID), &target);
+            assert_eq!(found, ScalarValue::from(expected.as_str()));
+        }
+    }
+    let of_bytes = |bytes: &[u8], kind: &Type, target: &DataType| {
+        let bound = Bound {
+            bytes,
+            is_text: false,
+            is_declared: true,
+            kind,
+            target,
+        };
+        bound.read().map(|read| read.unwrap().value)
+    };
+    let found = of_bytes(id.as_bytes(), &Type::UUID, &DataType::Utf8).unwrap();
+    assert_eq!(found, ScalarValue::from(expected.as_str()));
+
+    let texts = list_of(DataType::Utf8);
+    let mut list = Vec::new();
+    for number in [1_u32, 1, Type::UUID.oid(), 2, 1, 16] {
+        list.extend(number.to_be_bytes());
+    }
+    list.extend(id.as_bytes());
+    list.extend((-1_i32).to_be_bytes());
+    let text = format!("{{{},NULL}}", written[0]);
+    for found in [
+        value(&text, Some(&Type::UUID_ARRAY), &texts),
+        of_bytes(&list, &Type::UUID_ARRAY, &texts).unwrap(),
+    ] {
+        let ScalarValue::List(found) = found else {
+            unreachable!("{found}");
+        };
+        let found = found.value(0);
+        let found: Vec<_> = found.as_string::<i32>().iter().collect();
+        assert_eq!(found, [Some(expected.as_str()), None]);
+    }
+    let no_uuid = read("7", Some(&Type::UUID), &DataType::Utf8).unwrap_err();
+    let said = "expected a value of the type uuid, found `7`";
+    assert!(no_uuid.to_string().contains(said), "{no_uuid}");
+    assert!(of_bytes(&[1, 2], &Type::UUID, &DataType::Utf8).is_err());
+    assert!(of_bytes(&list[..40], &Type::UUID_ARRAY, &texts).is_err());
 }
