@@ -7,7 +7,7 @@
 //!                 ┌──────────── Map ────────────┐   rows ──► rows             any split of the rows is as good
 //!   driving port ─┼──────────── Group ──────────┤   one key's rows, in order ──► rows
 //!                 └──────────── Fold ───────────┘   lift ──► merge ──► finish; merging is exactly associative
-//!   other ports  ──►  Sides: whole tables, given before the first row; of those that are shelved, a row at a time
+//!   other ports  ──►  Sides: whole tables, given before the first row; of those that are fetched, a row at a time
 //! ```
 //!
 //! The *driving* port is the first one. How much of it a kernel must see at once is the work's [`Shape`]; what a kernel
@@ -28,7 +28,7 @@ mod params;
 mod port;
 mod reference;
 mod registry;
-mod shelf;
+mod row_store;
 mod sides;
 mod table;
 mod work;
@@ -41,7 +41,7 @@ pub use page::{Example, Page};
 pub use params::{ParamFault, Parameter};
 pub use port::{Key, Port, Reach, pixels_column};
 pub use registry::{Entry, Registry};
-pub use shelf::{InMemory, Shelf, Shelved, catalogue};
+pub use row_store::{FetchedRows, InMemory, RowStore, catalogue};
 pub use sides::{Pixels, Sides};
 pub use work::{Reason, Shape, Stream, Work};
 

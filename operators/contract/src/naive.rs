@@ -9,7 +9,7 @@ use arrow::compute::{SortColumn, concat_batches, lexsort_to_indices, take_record
 use evermap_schemas::{Fault, LayerRow};
 use serde_json::Value;
 
-use crate::shelf::{InMemory, catalogue};
+use crate::row_store::{InMemory, catalogue};
 use crate::sides::runs_of_equal;
 use crate::table::with_pixels;
 use crate::{Emit, Entry, Job, Losses, Phase, Port, Shape, Sides};
@@ -89,9 +89,9 @@ fn work(
     let mut sides = Sides::default();
     for port in entry.sides(phase) {
         let rows = table(port, &port.sorting())?;
-        if port.shelved {
+        if port.fetched {
             let held = vec![catalogue(&rows, 0)?];
-            sides.shelve(port.name, held, Arc::new(InMemory::new(vec![rows])));
+            sides.store(port.name, held, Arc::new(InMemory::new(vec![rows])));
         } else {
             sides.add(port.name, vec![rows]);
         }

@@ -88,7 +88,7 @@ pub struct Port {
     /// beside it, see [`pixels_column`]. An image that cannot be fetched is null there.
     pub pixels: Option<&'static str>,
     /// Whether the rows are fetched one at a time, and need not fit into memory together.
-    pub shelved: bool,
+    pub fetched: bool,
     /// Whether a plan may leave the port unconnected; the kernel then sees an empty table.
     pub optional: bool,
     /// Whether there is nothing to do where it has no rows.
@@ -113,7 +113,7 @@ impl Port {
             layer: T::layer(),
             reach,
             pixels: None,
-            shelved: false,
+            fetched: false,
             optional: false,
             needed: false,
         }
@@ -126,12 +126,12 @@ impl Port {
         self
     }
 
-    /// The rows of this side are fetched one at a time, by [`Sides::shelved`](crate::Sides::shelved): for tables that would
+    /// The rows of this side are fetched one at a time, by [`Sides::fetched`](crate::Sides::fetched): for tables that would
     /// fill the memory, of heavy rows. [`Sides::rows`](crate::Sides::rows) gives what else they have than lists, structs and
     /// bytes.
     #[must_use]
-    pub fn shelved(mut self) -> Self {
-        self.shelved = true;
+    pub fn fetched(mut self) -> Self {
+        self.fetched = true;
         self
     }
 

@@ -50,7 +50,7 @@ impl Entry {
                 .pixels
                 .map(|column| format!(" with the images of `{column}`"));
             let images = images.unwrap_or_default();
-            let fetched = if port.shelved {
+            let fetched = if port.fetched {
                 ", fetched one at a time"
             } else {
                 ""

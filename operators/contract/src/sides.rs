@@ -9,16 +9,16 @@ use evermap_schemas::{Fault, Record, rows};
 
 use crate::Port;
 use crate::port::pixels_column;
-use crate::shelf::{Shelf, Shelved};
+use crate::row_store::{FetchedRows, RowStore};
 
 /// The tables of the ports other than the driving one, by port name: the rows of one site, or of the group at hand, in
 /// the order of the layer's key.
 #[derive(Debug, Clone, Default)]
 pub struct Sides {
-    /// By port; of one that is shelved, the catalogue of its rows.
+    /// By port; of one that is fetched, the catalogue of its rows.
     tables: BTreeMap<String, Vec<RecordBatch>>,
-    /// By port that is shelved: its rows.
-    shelves: BTreeMap<String, Arc<dyn Shelf>>,
+    /// By port that is fetched: its rows.
+    stores: BTreeMap<String, Arc<dyn RowStore>>,
 }
 
 impl Sides {
@@ -26,7 +26,7 @@ impl Sides {
     pub fn new(tables: BTreeMap<String, Vec<RecordBatch>>) -> Self {
         Self {
             tables,
-            shelves: BTreeMap::new(),
+            stores: BTreeMap::new(),
         }
     }
 
@@ -35,20 +35,20 @@ impl Sides {
         self.tables.insert(port.to_owned(), table);
     }
 
-    /// Adds the rows of a port that is [shelved](Port::shelved()), which this is the [catalogue](crate::catalogue) of.
-    pub fn shelve(&mut self, port: &str, catalogue: Vec<RecordBatch>, shelf: Arc<dyn Shelf>) {
+    /// Adds the rows of a port that is [fetched](Port::fetched()), which this is the [catalogue](crate::catalogue) of.
+    pub fn store(&mut self, port: &str, catalogue: Vec<RecordBatch>, store: Arc<dyn RowStore>) {
         self.add(port, catalogue);
-        self.shelves.insert(port.to_owned(), shelf);
+        self.stores.insert(port.to_owned(), store);
     }
 
-    /// The rows of a port that is [shelved](Port::shelved()), to be fetched one at a time; what its catalogue has of them are
+    /// The rows of a port that is [fetched](Port::fetched()), to be fetched one at a time; what its catalogue has of them are
     /// its [`Sides::rows`].
     ///
     /// # Errors
-    /// A bug fault where the port was not declared as shelved.
-    pub fn shelved<T: Record>(&self, port: &str) -> Result<Shelved<T>, Fault> {
-        let shelved = Shelved::of(self.batches(port), self.shelves.get(port).cloned());
-        shelved.map_err(|fault| fault.at(format!("port {port}")))
+    /// A bug fault where the port was not declared as fetched.
+    pub fn fetched<T: Record>(&self, port: &str) -> Result<FetchedRows<T>, Fault> {
+        let fetched = FetchedRows::of(self.batches(port), self.stores.get(port).cloned());
+        fetched.map_err(|fault| fault.at(format!("port {port}")))
     }
 
     /// The typed rows of a port; none where it is not connected.
@@ -113,7 +113,7 @@ impl Sides {
         }
         for sides in sites.values_mut() {
             sides.tables.extend(self.everywhere().tables);
-            sides.shelves = self.shelves.clone();
+            sides.stores = self.stores.clone();
         }
         Ok(sites)
     }
@@ -131,7 +131,7 @@ impl Sides {
             tables: tables
                 .map(|(port, batches)| (port.clone(), batches.clone()))
                 .collect(),
-            shelves: self.shelves.clone(),
+            stores: self.stores.clone(),
         }
     }
 
@@ -168,7 +168,7 @@ impl Sides {
         }
         Ok(Sides {
             tables: own,
-            shelves: self.shelves.clone(),
+            stores: self.stores.clone(),
         })
     }
 }

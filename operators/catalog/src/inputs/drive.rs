@@ -11,7 +11,7 @@ use evermap_algorithms::metric_map::features::{
     DESCRIPTOR_BYTES, Descriptor, Feature, ImageFeatures, KeyframeFeatures,
 };
 use evermap_algorithms::metric_map::places::{self, DriveTrack, Seen};
-use evermap_contract::{Emit, Fault, Reason, Shelved, Sides};
+use evermap_contract::{Emit, Fault, FetchedRows, Reason, Sides};
 use evermap_schemas::layers::{Features, Keyframe, Track};
 use evermap_schemas::roles::{Calibration, Transform};
 use evermap_schemas::{Bytes, Stamp, record};
@@ -19,7 +19,7 @@ use evermap_schemas::{Bytes, Stamp, record};
 use super::rig::{self, VehicleFrame, frame};
 
 record! {
-    /// An image that has features, without them: what the catalogue of a shelf has of a row.
+    /// An image that has features, without them: what the catalogue of a row store has of a row.
     pub struct FeaturedImage {
         /// Session that was driven.
         session: String,
@@ -57,8 +57,8 @@ pub(crate) struct Drive<F = KeyframeFeatures> {
     pub(crate) keyframes: Vec<DriveKeyframe<F>>,
 }
 
-/// The rows of a keyframe's images on a shelf, in the rig's order; none where a camera gave no features.
-pub(crate) type OnShelf = Vec<Option<usize>>;
+/// The rows of a keyframe's images in a row store, in the rig's order; none where a camera gave no features.
+pub(crate) type StoredRows = Vec<Option<usize>>;
 
 /// The drives by session, from the rows of their keyframes and features and the ports `calibration` and `transforms`. A
 /// keyframe without features is kept: odometry goes through it. Images whose camera cannot be used are counted.
@@ -85,19 +85,19 @@ pub(crate) fn drives(
     Ok(drives)
 }
 
-/// As [`drives`], of features that stay on their shelf: `images` are all rows of its catalogue.
+/// As [`drives`], of features that stay in their store: `images` are all rows of its catalogue.
 ///
 /// # Errors
 /// As [`Sides::rows`].
-pub(crate) fn drives_on_shelf(
+pub(crate) fn stored_drives(
     keyframes: Vec<Keyframe>,
     images: Vec<FeaturedImage>,
     sides: &Sides,
     vehicle: &VehicleFrame,
     emit: &mut Emit<'_>,
-) -> Result<BTreeMap<String, Drive<OnShelf>>, Fault> {
+) -> Result<BTreeMap<String, Drive<StoredRows>>, Fault> {
     let mounted = rig::sessions(sides)?;
-    let mut drives: BTreeMap<String, Drive<OnShelf>> = routes(keyframes);
+    let mut drives: BTreeMap<String, Drive<StoredRows>> = routes(keyframes);
     let images = images.into_iter().enumerate();
     let mut images = by_session(images, |(_, image)| &image.session);
     for (session, drive) in &mut drives {
@@ -286,8 +286,8 @@ impl Drive {
     }
 }
 
-impl Drive<OnShelf> {
-    /// Notes where images are on the shelf.
+impl Drive<StoredRows> {
+    /// Notes where images are in the store.
     fn find(&mut self, images: &[(usize, FeaturedImage)]) {
         let cameras = self.rig.cameras.len();
         for keyframe in &mut self.keyframes {
@@ -302,14 +302,14 @@ impl Drive<OnShelf> {
 }
 
 /// What the cameras of a drive saw, fetched when it is looked at.
-pub(crate) struct FromShelf<'a> {
+pub(crate) struct FetchedFeatures<'a> {
     /// The drive.
-    pub(crate) drive: &'a Drive<OnShelf>,
-    /// The shelf that its keyframes name rows of.
-    pub(crate) features: &'a Shelved<Features>,
+    pub(crate) drive: &'a Drive<StoredRows>,
+    /// The row store that its keyframes name rows of.
+    pub(crate) features: &'a FetchedRows<Features>,
 }
 
-impl Seen<Fault> for FromShelf<'_> {
+impl Seen<Fault> for FetchedFeatures<'_> {
     fn features(&self, keyframe: usize) -> Result<Cow<'_, KeyframeFeatures>, Fault> {
         let keyframe = self.drive.keyframes.get(keyframe);
         let rows = keyframe.into_iter().flat_map(|found| &found.features);
@@ -322,7 +322,7 @@ impl Seen<Fault> for FromShelf<'_> {
     }
 }
 
-impl FromShelf<'_> {
+impl FetchedFeatures<'_> {
     /// The drive with its tracks.
     pub(crate) fn with_tracks(&self, tracks: Vec<DriveTrack>) -> places::Drive<'_, Fault> {
         let keyframes = self.drive.keyframes.iter();
@@ -342,7 +342,7 @@ impl FromShelf<'_> {
 /// Tracks by session, with keyframes by index. A track of a camera that cannot be used is left out.
 pub(crate) fn tracks(
     rows: Vec<Track>,
-    drives: &BTreeMap<String, Drive<OnShelf>>,
+    drives: &BTreeMap<String, Drive<StoredRows>>,
     emit: &mut Emit<'_>,
 ) -> BTreeMap<String, Vec<DriveTrack>> {
     let mut tracks: BTreeMap<String, Vec<DriveTrack>> = BTreeMap::new();

@@ -6,7 +6,7 @@ use evermap_algorithms::metric_map::places::{self, Loop, LoopOptions};
 use evermap_contract::{Emit, Fault, Key, Operator, Port, Reach, Sides, Work};
 use evermap_schemas::layers::{Features, Keyframe, LoopClosure, Track};
 
-use crate::inputs::drive::{Drive, FeaturedImage, FromShelf, OnShelf, drives_on_shelf, tracks};
+use crate::inputs::drive::{Drive, FeaturedImage, FetchedFeatures, StoredRows, stored_drives, tracks};
 use crate::inputs::rig::{self, OfVehicle};
 
 /// See the module's page.
@@ -22,7 +22,7 @@ impl Operator for LoopClosures {
     fn work() -> Work<Self::Params> {
         let keyframes = Port::site::<Keyframe>("keyframes");
         let mut sides = vec![
-            Port::site::<Features>("features").shelved(),
+            Port::site::<Features>("features").fetched(),
             Port::site::<Track>("tracks"),
             Port::site::<LoopClosure>("previous").optional(),
         ];
@@ -42,21 +42,21 @@ fn loop_closures(
     let new: BTreeSet<String> = images.iter().map(|row| row.session.clone()).collect();
     emit.rows(known(sides.take("previous")?, &keyframes, &new))?;
     keyframes.retain(|row| new.contains(&row.session));
-    let drives = drives_on_shelf(keyframes, images, &sides, &params.vehicle, emit)?;
+    let drives = stored_drives(keyframes, images, &sides, &params.vehicle, emit)?;
     let mut tracks = tracks(sides.take("tracks")?, &drives, emit);
-    let features = sides.shelved("features")?;
-    let seen = drives.values().map(|drive| FromShelf {
+    let features = sides.fetched("features")?;
+    let seen = drives.values().map(|drive| FetchedFeatures {
         drive,
         features: &features,
     });
-    let seen: Vec<FromShelf<'_>> = seen.collect();
+    let seen: Vec<FetchedFeatures<'_>> = seen.collect();
     let searched: Vec<places::Drive<'_, Fault>> = drives
         .keys()
         .zip(&seen)
         .map(|(session, seen)| seen.with_tracks(tracks.remove(session).unwrap_or_default()))
         .collect();
     let found = places::loops(&searched, &params.options)?;
-    let drives: Vec<(&String, &Drive<OnShelf>)> = drives.iter().collect();
+    let drives: Vec<(&String, &Drive<StoredRows>)> = drives.iter().collect();
     let rows = found.iter().map(|found| row(&site, found, &drives));
     emit.rows(rows.flatten().collect())
 }
@@ -73,7 +73,7 @@ fn known(
     previous
 }
 
-fn row(site: &str, found: &Loop, drives: &[(&String, &Drive<OnShelf>)]) -> Option<LoopClosure> {
+fn row(site: &str, found: &Loop, drives: &[(&String, &Drive<StoredRows>)]) -> Option<LoopClosure> {
     let keyframe = |(drive, keyframe): (usize, usize)| {
         let (session, drive) = *drives.get(drive)?;
         Some((session.clone(), drive.keyframes.get(keyframe)?))

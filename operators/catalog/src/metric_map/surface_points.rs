@@ -7,7 +7,7 @@ use evermap_algorithms::metric_map::places::{SurfaceOptions, surface_points};
 use evermap_contract::{Emit, Fault, Key, Operator, Port, Reach, Sides, Work};
 use evermap_schemas::layers::{Features, Keyframe, SurfacePoint, Track, VehiclePose};
 
-use crate::inputs::drive::{Drive, FromShelf, OnShelf, drives_on_shelf, tracks};
+use crate::inputs::drive::{Drive, FetchedFeatures, StoredRows, stored_drives, tracks};
 use crate::inputs::rig::{self, OfVehicle};
 
 /// See the module's page.
@@ -23,7 +23,7 @@ impl Operator for SurfacePoints {
     fn work() -> Work<Self::Params> {
         let tracks = Port::session::<Track>("tracks");
         let mut sides = vec![
-            Port::session::<Features>("features").shelved(),
+            Port::session::<Features>("features").fetched(),
             Port::session::<Keyframe>("keyframes"),
             Port::session::<VehiclePose>("poses"),
         ];
@@ -41,7 +41,7 @@ fn points(
     let first = &rows[0];
     let (site, session) = (first.site.clone(), first.session.clone());
     let (keyframes, images) = (sides.rows("keyframes")?, sides.rows("features")?);
-    let mut drives = drives_on_shelf(keyframes, images, &sides, &params.vehicle, emit)?;
+    let mut drives = stored_drives(keyframes, images, &sides, &params.vehicle, emit)?;
     if let Some(drive) = drives.get_mut(&session) {
         place(drive, sides.rows("poses")?, emit);
     }
@@ -49,8 +49,8 @@ fn points(
     let Some(drive) = drives.get(&session) else {
         return Ok(());
     };
-    let features = &sides.shelved("features")?;
-    let seen = FromShelf { drive, features };
+    let features = &sides.fetched("features")?;
+    let seen = FetchedFeatures { drive, features };
     let drive = seen.with_tracks(tracks.remove(&session).unwrap_or_default());
     let stamp = |keyframe: usize| evermap_schemas::Stamp(drive.keyframes[keyframe].stamp);
     let found = surface_points(&drive, &params.options)?;
@@ -72,7 +72,7 @@ fn points(
 }
 
 /// Puts a drive's keyframes where they are in the map; those without a pose are left out.
-fn place(drive: &mut Drive<OnShelf>, poses: Vec<VehiclePose>, emit: &mut Emit<'_>) {
+fn place(drive: &mut Drive<StoredRows>, poses: Vec<VehiclePose>, emit: &mut Emit<'_>) {
     let mut placed = BTreeMap::new();
     for row in poses {
         match Pose::from_array(row.map_from_vehicle.to_array()) {

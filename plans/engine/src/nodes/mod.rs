@@ -7,7 +7,7 @@ pub mod pixels;
 pub mod planned;
 pub mod python;
 pub mod raw;
-pub mod shelf;
+pub mod row_store;
 mod spared;
 #[cfg(test)]
 mod tests;

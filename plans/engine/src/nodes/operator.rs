@@ -8,7 +8,7 @@
 //!
 //! ```text
 //!  sides ─► conform ─► memory reservation ─► Job, in the CPU pool, once
-//!                    └► shelf (`shelf`), where rows are fetched one at a time
+//!                    └► row store (`row_store`), where rows are fetched one at a time
 //!                                             │
 //!  driving rows ─► conform ─► │channel│ ─► Worker, in the CPU pool ─► │channel│ ─► output stream
 //!        (async threads)                     (blocking thread)
@@ -40,7 +40,7 @@ use crate::conform::{beside, conform};
 use crate::error::{OrFault, external};
 use crate::locked::locked;
 use crate::nodes::node::{Deal, Duty, Need, Node, first};
-use crate::nodes::shelf::{Filled, Shelving};
+use crate::nodes::row_store::{Filled, RowWriter};
 
 /// Batches waiting on either side of a kernel.
 const QUEUE: usize = 2;
@@ -216,17 +216,17 @@ async fn prepare(
     let mut sides = Sides::default();
     // Rows that may go to a disk take the memory that the others leave.
     let all = operator.sides.iter().zip(tables);
-    let (shelved, whole): (Vec<_>, Vec<_>) = all.partition(|(port, _)| port.shelved);
-    for (port, table) in whole.into_iter().chain(shelved) {
+    let (fetched, whole): (Vec<_>, Vec<_>) = all.partition(|(port, _)| port.fetched);
+    for (port, table) in whole.into_iter().chain(fetched) {
         let _timer = metrics.collecting.timer();
         let rows = table.execute(0, Arc::clone(&context)).or_fault()?;
         let place = |fault: Fault| fault.at(format!("port {}", port.name));
-        if port.shelved {
-            let filled = shelve(port, rows, &memory, &runtime.disk_manager).await;
+        if port.fetched {
+            let filled = write_rows(port, rows, &memory, &runtime.disk_manager).await;
             let filled = filled.map_err(place)?;
             metrics.rows.add(rows_in(&filled.catalogue));
             metrics.file_bytes.add(filled.file_bytes as usize);
-            sides.shelve(port.name, filled.catalogue, filled.shelf);
+            sides.store(port.name, filled.catalogue, filled.store);
         } else {
             let rows = collect(port, rows, &memory).await.map_err(place)?;
             metrics.rows.add(rows_in(&rows));
@@ -266,17 +266,17 @@ async fn collect(
     Ok(rows)
 }
 
-async fn shelve(
+async fn write_rows(
     port: &Port,
     mut table: SendableRecordBatchStream,
     memory: &MemoryReservation,
     disk: &Arc<DiskManager>,
 ) -> Result<Filled, Fault> {
-    let mut shelving = Shelving::new(memory, disk);
+    let mut writer = RowWriter::new(memory, disk);
     while let Some(batch) = table.next().await {
-        shelving.push(given(&batch.or_fault()?, port)?)?;
+        writer.push(given(&batch.or_fault()?, port)?)?;
     }
-    shelving.finish()
+    writer.finish()
 }
 
 /// The batch with just what a port reads: the columns of its layer, and the images beside them.

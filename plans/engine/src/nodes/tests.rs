@@ -86,8 +86,8 @@ impl Declared for Fetched {
     fn work() -> Work<Params> {
         Work::each_row(
             Port::session::<VehiclePose>("poses"),
-            vec![Port::site::<Features>("images").shelved()],
-            |_, sides| sides.shelved::<Features>("images"),
+            vec![Port::site::<Features>("images").fetched()],
+            |_, sides| sides.fetched::<Features>("images"),
             |images, pose: VehiclePose| {
                 let image = images.row(pose.stamp.0 as usize);
                 let image = image.map_err(|fault| fault.to_string())?;
@@ -163,7 +163,7 @@ fn fetching(context: &SessionContext) -> Arc<dyn ExecutionPlan> {
 }
 
 #[tokio::test]
-async fn rows_on_a_shelf_are_fetched_wherever_there_is_room_for_them() {
+async fn rows_of_a_store_are_fetched_wherever_there_is_room_for_them() {
     for (memory_bytes, in_file) in [(1 << 30, false), (1 << 20, true)] {
         let context = limited(memory_bytes);
         let plan = fetching(&context);

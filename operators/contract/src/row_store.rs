@@ -1,6 +1,6 @@
 //! Rows of a side that a kernel fetches one at a time, where all of them would fill the memory.
 //!
-//! An engine keeps the rows of a port that is [shelved](crate::Port::shelved()) where there is room, on a disk too. What is
+//! An engine keeps the rows of a port that is [fetched](crate::Port::fetched()) where there is room, on a disk too. What is
 //! held of them is a catalogue: the columns that are light, and a number by which each row is found.
 
 use std::fmt;
@@ -13,7 +13,7 @@ use arrow::datatypes::{DataType, Field, Schema, UInt64Type};
 use evermap_schemas::{Fault, Record, rows};
 
 /// Rows by number.
-pub trait Shelf: fmt::Debug + Send + Sync {
+pub trait RowStore: fmt::Debug + Send + Sync {
     /// The row of this number, which counts from 0 in the order in which the rows came, as a batch of one.
     ///
     /// # Errors
@@ -21,7 +21,7 @@ pub trait Shelf: fmt::Debug + Send + Sync {
     fn row(&self, number: u64) -> Result<RecordBatch, Fault>;
 }
 
-/// A shelf in memory.
+/// A row store in memory.
 #[derive(Debug, Default)]
 pub struct InMemory {
     /// The number of the first row of each batch, and the batch.
@@ -43,7 +43,7 @@ impl InMemory {
     }
 }
 
-impl Shelf for InMemory {
+impl RowStore for InMemory {
     fn row(&self, number: u64) -> Result<RecordBatch, Fault> {
         let behind = self.batches.partition_point(|(first, _)| *first <= number);
         let found = behind.checked_sub(1).and_then(|at| {
@@ -56,9 +56,9 @@ impl Shelf for InMemory {
 }
 
 /// The column of a catalogue with the numbers of its rows.
-const NUMBER: &str = "number_on_shelf";
+const NUMBER: &str = "number_in_store";
 
-/// What is held of rows on a shelf, whose numbers are those from `first` on: their columns that hold neither lists,
+/// What is held of rows in a row store, whose numbers are those from `first` on: their columns that hold neither lists,
 /// structs nor bytes, and the numbers. It shares no memory with the rows.
 ///
 /// # Errors
@@ -89,30 +89,30 @@ fn is_light(column: &DataType) -> bool {
     !column.is_nested() && !bytes.contains(column)
 }
 
-/// The rows of a port that is shelved, of the site or the group at hand. They are counted as those that
+/// The rows of a port that is fetched, of the site or the group at hand. They are counted as those that
 /// [`Sides::rows`](crate::Sides::rows) gives of the port, in the same order.
-pub struct Shelved<T> {
+pub struct FetchedRows<T> {
     numbers: Vec<u64>,
-    shelf: Option<Arc<dyn Shelf>>,
+    store: Option<Arc<dyn RowStore>>,
     rows: PhantomData<fn() -> T>,
 }
 
-impl<T: Record> Shelved<T> {
+impl<T: Record> FetchedRows<T> {
     /// The rows of a catalogue; there are none where the port is not connected.
     pub(crate) fn of(
         catalogue: &[RecordBatch],
-        shelf: Option<Arc<dyn Shelf>>,
+        store: Option<Arc<dyn RowStore>>,
     ) -> Result<Self, Fault> {
         let mut numbers = Vec::new();
         for batch in catalogue {
             let column = batch.column_by_name(NUMBER);
             let column = column.and_then(|column| column.as_primitive_opt::<UInt64Type>());
-            let column = column.ok_or_else(|| Fault::bug("the port is not declared as shelved"))?;
+            let column = column.ok_or_else(|| Fault::bug("the port is not declared as fetched"))?;
             numbers.extend_from_slice(column.values());
         }
         Ok(Self {
             numbers,
-            shelf,
+            store,
             rows: PhantomData,
         })
     }
@@ -125,14 +125,14 @@ impl<T: Record> Shelved<T> {
     pub fn row(&self, at: usize) -> Result<T, Fault> {
         let missing = || no_row(at as u64);
         let number = self.numbers.get(at).ok_or_else(missing)?;
-        let shelf = self.shelf.as_ref().ok_or_else(missing)?;
-        let row = rows(&shelf.row(*number)?)?.pop();
+        let store = self.store.as_ref().ok_or_else(missing)?;
+        let row = rows(&store.row(*number)?)?.pop();
         row.ok_or_else(missing)
     }
 }
 
 fn no_row(number: u64) -> Fault {
-    Fault::bug(format!("there is no row {number} on the shelf"))
+    Fault::bug(format!("there is no row {number} in the store"))
 }
 
 #[cfg(test)]
@@ -179,7 +179,7 @@ mod tests {
 
     /// Four things of two sites, in three batches.
     fn sides() -> (Port, Sides) {
-        let port = Port::site::<Thing>("things").shelved();
+        let port = Port::site::<Thing>("things").fetched();
         let rows = [
             vec![thing("a", 1)],
             vec![thing("a", 2), thing("b", 1)],
@@ -191,16 +191,16 @@ mod tests {
         let catalogue = catalogue.map(|(rows, first)| super::catalogue(rows, first).unwrap());
         let mut sides = Sides::default();
         let catalogue = catalogue.collect();
-        sides.shelve(port.name, catalogue, Arc::new(InMemory::new(batches)));
+        sides.store(port.name, catalogue, Arc::new(InMemory::new(batches)));
         (port, sides)
     }
 
     fn of(sides: &Sides) -> Vec<Thing> {
         let names: Vec<Name> = sides.rows("things").unwrap();
-        let shelved = sides.shelved::<Thing>("things").unwrap();
-        assert!(shelved.row(names.len()).is_err());
+        let fetched = sides.fetched::<Thing>("things").unwrap();
+        assert!(fetched.row(names.len()).is_err());
         let rows = names.iter().enumerate().map(|(at, name)| {
-            let row = shelved.row(at).unwrap();
+            let row = fetched.row(at).unwrap();
             assert_eq!((&row.site, row.thing), (&name.site, name.thing));
             row
         });
@@ -208,7 +208,7 @@ mod tests {
     }
 
     #[test]
-    fn rows_on_a_shelf_are_those_of_the_group_at_hand() {
+    fn rows_of_a_store_are_those_of_the_group_at_hand() {
         let (port, mut sides) = sides();
         let all = [thing("a", 1), thing("a", 2), thing("b", 1), thing("b", 3)];
         assert_eq!(of(&sides), all);
@@ -240,11 +240,11 @@ mod tests {
     }
 
     #[test]
-    fn a_port_that_is_not_connected_has_no_rows_and_one_that_is_not_shelved_is_told() {
+    fn a_port_that_is_not_connected_has_no_rows_and_one_that_is_not_fetched_is_told() {
         let none = Sides::default();
-        assert!(none.shelved::<Thing>("things").unwrap().row(0).is_err());
+        assert!(none.fetched::<Thing>("things").unwrap().row(0).is_err());
         let rows = batch(vec![thing("a", 1)]).unwrap();
         let whole = Sides::new([("things".to_owned(), vec![rows])].into());
-        assert!(whole.shelved::<Thing>("things").is_err());
+        assert!(whole.fetched::<Thing>("things").is_err());
     }
 }

@@ -16,14 +16,14 @@ use arrow::ipc::writer::FileWriter;
 use datafusion::common::utils::memory::get_record_batch_memory_size;
 use datafusion::execution::memory_pool::MemoryReservation;
 use datafusion::execution::{DiskManager, SpillFile, SpillWriter};
-use evermap_contract::{InMemory, Shelf, catalogue};
+use evermap_contract::{InMemory, RowStore, catalogue};
 use evermap_schemas::Fault;
 
 use crate::error::OrFault;
 use crate::locked::locked;
 
-/// Puts rows on a shelf, batch by batch.
-pub struct Shelving<'a> {
+/// Puts rows in a row store, batch by batch.
+pub struct RowWriter<'a> {
     memory: &'a MemoryReservation,
     disk: &'a Arc<DiskManager>,
     catalogue: Vec<RecordBatch>,
@@ -34,18 +34,18 @@ pub struct Shelving<'a> {
     file: Option<Filing>,
 }
 
-/// Rows that were put on a shelf.
+/// Rows that were put in a row store.
 pub struct Filled {
     /// What is held of them in memory, wherever they are.
     pub catalogue: Vec<RecordBatch>,
     /// The rows.
-    pub shelf: Arc<dyn Shelf>,
+    pub store: Arc<dyn RowStore>,
     /// Bytes of the file that they are in; 0 where they are in memory.
     pub file_bytes: u64,
 }
 
-impl<'a> Shelving<'a> {
-    /// A shelf without rows yet. What is in memory is reserved in `memory`.
+impl<'a> RowWriter<'a> {
+    /// A row store without rows yet. What is in memory is reserved in `memory`.
     pub fn new(memory: &'a MemoryReservation, disk: &'a Arc<DiskManager>) -> Self {
         Self {
             memory,
@@ -99,7 +99,7 @@ impl<'a> Shelving<'a> {
     /// A resource fault where the file has no room, or cannot be opened.
     pub fn finish(self) -> Result<Filled, Fault> {
         let mut file_bytes = 0;
-        let shelf: Arc<dyn Shelf> = match self.file {
+        let store: Arc<dyn RowStore> = match self.file {
             Some(file) => {
                 let filed = file.finish()?;
                 file_bytes = filed.file.size().unwrap_or_default();
@@ -109,7 +109,7 @@ impl<'a> Shelving<'a> {
         };
         Ok(Filled {
             catalogue: self.catalogue,
-            shelf,
+            store,
             file_bytes,
         })
     }
@@ -154,7 +154,7 @@ impl Filing {
     }
 }
 
-/// A shelf in a temporary file, which goes with it.
+/// A row store in a temporary file, which goes with it.
 struct Filed {
     reader: Mutex<FileReader<File>>,
     file: Arc<dyn SpillFile>,
@@ -166,7 +166,7 @@ impl fmt::Debug for Filed {
     }
 }
 
-impl Shelf for Filed {
+impl RowStore for Filed {
     fn row(&self, number: u64) -> Result<RecordBatch, Fault> {
         let mut reader = locked(&self.reader);
         let found = reader.set_index(usize::try_from(number).unwrap_or(usize::MAX));
@@ -241,27 +241,27 @@ mod tests {
         for (memory_bytes, in_file) in [(1 << 30, false), (150_000, true), (40_000, true)] {
             let runtime = runtime(limits(memory_bytes)).unwrap();
             let memory = MemoryConsumer::new("a test").register(&runtime.memory_pool);
-            let mut shelving = Shelving::new(&memory, &runtime.disk_manager);
+            let mut writer = RowWriter::new(&memory, &runtime.disk_manager);
             for batch in images() {
-                shelving.push(batch).unwrap();
+                writer.push(batch).unwrap();
             }
             let Filled {
                 catalogue,
-                shelf,
+                store,
                 file_bytes,
-            } = shelving.finish().unwrap();
+            } = writer.finish().unwrap();
             assert_eq!(file_bytes > 0, in_file, "{memory_bytes}");
             let listed = catalogue.iter().map(RecordBatch::num_rows);
             assert_eq!(listed.sum::<usize>(), 40);
             // In whatever order they are asked for.
             for number in (0..40).map(|at| at * 17 % 40) {
-                let row = shelf.row(number).unwrap();
+                let row = store.row(number).unwrap();
                 assert_eq!(rows::<Features>(&row).unwrap(), [image(number as i64)]);
             }
-            shelf.row(40).unwrap_err();
+            store.row(40).unwrap_err();
             assert_eq!(memory.size() > 200_000, !in_file, "{} B", memory.size());
             assert_eq!(runtime.disk_manager.used_disk_space(), file_bytes);
-            drop(shelf);
+            drop(store);
             assert_eq!(runtime.disk_manager.used_disk_space(), 0);
         }
     }
@@ -270,8 +270,8 @@ mod tests {
     fn a_catalogue_that_finds_no_memory_is_a_fault_of_resources() {
         let runtime = runtime(limits(1)).unwrap();
         let memory = MemoryConsumer::new("a test").register(&runtime.memory_pool);
-        let mut shelving = Shelving::new(&memory, &runtime.disk_manager);
-        let fault = shelving.push(images().remove(0)).unwrap_err();
+        let mut writer = RowWriter::new(&memory, &runtime.disk_manager);
+        let fault = writer.push(images().remove(0)).unwrap_err();
         assert_eq!(fault.kind, Kind::Resource, "{fault}");
     }
 }
