@@ -15,6 +15,7 @@ mod bounds;
 mod calibration;
 mod class_index;
 mod description;
+mod headings;
 mod level;
 mod options;
 mod tree;
