@@ -7,7 +7,7 @@ use super::headings::Headings;
 use super::tree::Pair;
 
 /// Views whose sums are kept in the processor's cache together.
-const TILE: usize = 1024;
+const TILE: usize = 2048;
 /// Elevations and sizes are sorted into as many bins each; the outermost hold all that is beyond.
 const BINS: usize = 32;
 /// Width of a bin, in powers of two: a scale.
@@ -106,7 +106,7 @@ impl Bounds {
             let first = first + at * LANES;
             let mut seen = self.seen(code, block);
             seen.keep(range.start.saturating_sub(first), range.end - first);
-            while let Some((lane, pair)) = seen.next() {
+            while let Some((lane, pair)) = seen.pop() {
                 let sums = &mut sums[usize::from(views[lane]) * row..][..row];
                 self.headings.join(pair, weight, sums, u32::saturating_add);
             }
@@ -118,10 +118,10 @@ impl Bounds {
     fn seen(&self, code: &AreaCode, block: &Block) -> Seen {
         let likeness = self.measure.likeness(code, block);
         let (mut apart, mut bits) = ([0; LANES], [0; LANES]);
-        for lane in 0..LANES {
-            apart[lane] = block.bearing[lane].wrapping_sub(code.bearing);
-            let tells = self.headings.may_tell(likeness[lane], apart[lane]);
-            bits[lane] = u16::from(tells).wrapping_neg() & (1 << lane);
+        for (lane, (apart, bit)) in apart.iter_mut().zip(&mut bits).enumerate() {
+            *apart = block.bearing[lane].wrapping_sub(code.bearing);
+            let tells = self.headings.may_tell(likeness[lane], *apart);
+            *bit = u16::from(tells).wrapping_neg() & (1 << lane);
         }
         Seen {
             likeness,
@@ -142,7 +142,7 @@ impl Bounds {
             best.fill(0);
             for block in &pair.map.areas.blocks[pair.like(&code)] {
                 let mut seen = self.seen(&code, block);
-                while let Some((_, pair)) = seen.next() {
+                while let Some((_, pair)) = seen.pop() {
                     self.headings.join(pair, *weight, &mut best, u32::max);
                 }
             }
@@ -174,7 +174,7 @@ impl Seen {
 
     /// Takes the next such lane: its likeness, and how far apart bearings are.
     #[inline(always)]
-    fn next(&mut self) -> Option<(usize, [u16; 2])> {
+    fn pop(&mut self) -> Option<(usize, [u16; 2])> {
         if self.lanes == 0 {
             return None;
         }

@@ -116,14 +116,16 @@ impl Tree {
             code.bearing = code.bearing.wrapping_add(pair.turn);
             let like = pair.like(&code);
             let first = like.start - pair.blocks.start;
-            self.compare(&code, &pair.map.areas.blocks[like], first, &rules.measure);
-            while let Some((at, evidence)) = best(&self.row) {
+            let blocks = &pair.map.areas.blocks[like];
+            let mut most = self.compare(&code, blocks, first, &rules.measure);
+            while let Some((at, evidence)) = best(&self.row, most) {
                 let other = first * LANES + at;
                 if self.fits(pair, rules, area, other) {
                     self.take(area, other, u32::from(evidence) * pair.query.weights[area]);
                     break;
                 }
                 self.row[at / LANES][at % LANES] = 0;
+                most = highest(&self.row);
             }
         }
         &self.found
@@ -131,15 +133,26 @@ impl Tree {
 
     /// Fills the row with some blocks of the view, from its `first` on: 0 for areas that are matched.
     #[inline(always)]
-    fn compare(&mut self, code: &AreaCode, blocks: &[Block], first: usize, measure: &Measure) {
+    fn compare(
+        &mut self,
+        code: &AreaCode,
+        blocks: &[Block],
+        first: usize,
+        measure: &Measure,
+    ) -> u16 {
         self.row.clear();
+        let mut most = [0; LANES];
         for (block, free) in blocks.iter().zip(&self.free[first..]) {
             let mut evidence = measure.evidence(code, block);
             for (evidence, free) in evidence.iter_mut().zip(free) {
                 *evidence &= free;
             }
+            for (most, evidence) in most.iter_mut().zip(&evidence) {
+                *most = (*most).max(*evidence);
+            }
             self.row.push(evidence);
         }
+        most.into_iter().fold(0, u16::max)
     }
 
     fn take(&mut self, area: usize, other: usize, evidence: u32) {
@@ -190,16 +203,21 @@ impl Tree {
     }
 }
 
-/// The area with the most evidence; the first of equal ones.
+/// The most evidence.
 #[inline(always)]
-fn best(row: &[[u16; LANES]]) -> Option<(usize, u16)> {
+fn highest(row: &[[u16; LANES]]) -> u16 {
     let mut most = [0; LANES];
     for evidence in row {
         for (most, evidence) in most.iter_mut().zip(evidence) {
             *most = (*most).max(*evidence);
         }
     }
-    let most = most.into_iter().fold(0, u16::max);
+    most.into_iter().fold(0, u16::max)
+}
+
+/// The first area with the most evidence, which is given.
+#[inline(always)]
+fn best(row: &[[u16; LANES]], most: u16) -> Option<(usize, u16)> {
     if most == 0 {
         return None;
     }

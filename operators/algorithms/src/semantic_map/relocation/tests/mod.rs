@@ -194,7 +194,7 @@ fn a_view_is_found_among_thousands() {
         }],
         ..Graph::default()
     };
-    for (own, headings) in [(0, 24), (1023, 24), (1024, 1), (2047, 7), (2999, 24)] {
+    for (own, headings) in [(0, 24), (1000, 7), (2047, 24), (2048, 1), (2999, 24)] {
         let graphs: Vec<Graph> = (0..3000)
             .map(|at| view(u8::from(at == own), 300.0))
             .collect();

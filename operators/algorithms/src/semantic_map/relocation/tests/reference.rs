@@ -1,4 +1,5 @@
 //! Relocation as it is defined, area by area: nothing is sorted, left out, or computed for several headings at once.
+#![allow(clippy::unwrap_used)]
 
 use std::cmp::Reverse;
 use std::f64::consts::TAU;
@@ -54,13 +55,9 @@ impl Seen {
             let evidence = others.iter().map(|other| evidence(measure, mine, other));
             evidence.max().unwrap_or(0).max(floor)
         };
-        let weighted = self
-            .turned(turn)
-            .iter()
-            .zip(&self.0.weights)
-            .map(|(area, weight)| best(area) * weight)
-            .sum();
-        weighted
+        let weighted = self.turned(turn);
+        let weighted = weighted.iter().zip(&self.0.weights);
+        weighted.map(|(area, weight)| best(area) * weight).sum()
     }
 
     /// Pairs, the largest area of the query first, and their evidence.
@@ -109,14 +106,16 @@ impl Seen {
     }
 }
 
+fn turns(options: &Options) -> Vec<u16> {
+    let code = |turn: f64| ((turn / TAU * 65536.0).round() as i64).rem_euclid(65536) as u16;
+    options.turns_rad().map(code).collect()
+}
+
 fn search(graphs: &[Graph], query: &Graph, options: &Options, top: usize) -> Vec<Hit> {
     let measure = Measure::new(options);
     let any = options.of_any_size();
     let (large, all) = (Seen::new(query, options), Seen::new(query, &any));
-    let turns: Vec<u16> = options
-        .turns_rad()
-        .map(|turn| ((turn / TAU * 65536.0).round() as i64).rem_euclid(65536) as u16)
-        .collect();
+    let turns = turns(options);
     let views: Vec<[Seen; 2]> = graphs
         .iter()
         .map(|view| [options, &any].map(|options| Seen::new(view, &options.of_map())))
@@ -203,5 +202,28 @@ proptest! {
         prop_assert_eq!(&map.search(&asked, top, |_| true), &expected);
         let views: Vec<u32> = (0..graphs.len() as u32).collect();
         prop_assert_eq!(map.among(&asked, &views, top), expected);
+    }
+
+    #[test]
+    fn bounds_are_as_defined_and_none_of_all_views_is_lower(
+        graphs in prop::collection::vec(graph(), 0..24),
+        query in graph(),
+        options in options(),
+    ) {
+        let map = ViewMap::new(graphs.iter(), options.clone());
+        let (asked, measure) = (map.query(&query), Measure::new(&options));
+        let large = Seen::new(&query, &options);
+        let mut of_all: Vec<Vec<u32>> = Vec::new();
+        map.bounds.of_all(&asked.large, |of_turns| of_all.push(of_turns.to_vec()));
+        prop_assert_eq!(of_all.len(), graphs.len());
+        for ((view, graph), of_all) in (0..).zip(&graphs).zip(of_all) {
+            let pair = map.large.pair(&asked.large, view, 0).unwrap();
+            let of_view = Seen::new(graph, &options.of_map());
+            let turns = turns(&options).into_iter();
+            let defined: Vec<u32> = turns.map(|turn| large.bound(&of_view, turn, &measure)).collect();
+            prop_assert_eq!(&map.bounds.of_pair(&pair)[..defined.len()], &defined[..]);
+            let higher = of_all.iter().zip(&defined).all(|(of_all, defined)| of_all >= defined);
+            prop_assert!(of_all.len() == defined.len() && higher, "{:?} {:?}", of_all, defined);
+        }
     }
 }
