@@ -5,12 +5,13 @@
 //! areas lie then tells the heading more closely.
 
 use std::cmp::Reverse;
+use std::collections::BinaryHeap;
 
-use super::bounds;
 use super::description::Description;
 use super::level::{Found, Level};
 use super::tree::Tree;
 use super::view_map::{Best, Hit, Query, ViewMap};
+use crate::processor::vectorised;
 
 /// A query that is compared with views of a map.
 pub(super) struct Again<'a> {
@@ -22,49 +23,82 @@ pub(super) struct Again<'a> {
     pub(super) all: &'a Description,
 }
 
-/// A view with the highest bound of all headings.
+/// A view with the highest bound of all headings; the best first.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) struct Bounded {
-    bound: u32,
+    bound: Reverse<u32>,
     view: u32,
     turn: u16,
 }
 
 impl Again<'_> {
-    /// A view by its bounds, one for each heading; `None` without headings.
-    pub(super) fn bounded(&self, view: u32, bounds: impl Iterator<Item = u32>) -> Option<Bounded> {
-        let turns = bounds.zip(&self.map.turns);
-        let of_turn = turns.map(|(bound, turn)| Bounded {
-            bound,
-            view,
-            turn: *turn,
-        });
-        of_turn.reduce(|best, other| {
-            if other.bound > best.bound {
-                other
-            } else {
-                best
+    /// The `top` views that the query fits best, of those that `allowed` lets pass.
+    pub(super) fn search(&self, top: usize, allowed: impl Fn(u32) -> bool) -> Vec<Hit> {
+        let number = self.number(top);
+        let mut views = self.promising();
+        // The worst on top.
+        let mut among: BinaryHeap<Bounded> = BinaryHeap::new();
+        while let Some((most, Reverse(view))) = views.pop() {
+            let worst = among.peek().filter(|_| among.len() == number);
+            if worst.is_some_and(|worst| worst.bound.0 > most) {
+                break;
             }
-        })
+            if allowed(view) {
+                among.extend(self.bound(view));
+            }
+            if among.len() > number {
+                among.pop();
+            }
+        }
+        self.best(among.into_vec(), top)
     }
 
-    /// The same for one view; `None` for a view that there is not.
+    /// All views by what their bounds are no higher than.
+    fn promising(&self) -> BinaryHeap<(u32, Reverse<u32>)> {
+        let (bounds, query) = (&self.map.bounds, &self.query.large);
+        let mut views = Vec::with_capacity(self.map.len());
+        let mut view = 0;
+        vectorised(
+            #[inline(always)]
+            || {
+                bounds.of_all(query, |of_turns| {
+                    let most = of_turns
+                        .iter()
+                        .fold(0, |most: u32, of_turn| most.max(*of_turn));
+                    views.push((most, Reverse(view)));
+                    view += 1;
+                });
+            },
+        );
+        views.into()
+    }
+
+    /// `None` without headings, and for a view that there is not.
     pub(super) fn bound(&self, view: u32) -> Option<Bounded> {
-        let (large, query) = (&self.map.large, &self.query.large);
-        large.pair(query, view, 0)?;
-        let pairs = self.map.turns.iter();
-        let pairs = pairs.filter_map(|turn| large.pair(query, view, *turn));
-        self.bounded(
-            view,
-            pairs.map(|pair| bounds::of_pair(&pair, &large.measure)),
-        )
+        let pair = self.map.large.pair(&self.query.large, view, 0)?;
+        let bounds = vectorised(
+            #[inline(always)]
+            || self.map.bounds.of_pair(&pair),
+        );
+        let of_turns = bounds.iter().zip(&self.map.turns);
+        let of_turns = of_turns.zip(0_u32..).map(|((bound, turn), at)| {
+            // The first of equal ones.
+            (Reverse(*bound), at, *turn)
+        });
+        let (bound, _, turn) = of_turns.min()?;
+        Some(Bounded { bound, view, turn })
+    }
+
+    /// Views that are compared again, where there are as many.
+    fn number(&self, top: usize) -> usize {
+        top.max(self.map.options.candidates as usize)
     }
 
     /// The best of the candidates among these.
     pub(super) fn best(&self, mut among: Vec<Bounded>, top: usize) -> Vec<Hit> {
-        let options = &self.map.options;
-        among.sort_unstable_by_key(|bounded| (Reverse(bounded.bound), bounded.view));
-        among.truncate(top.max(options.candidates as usize));
-        let (mut best, mut tree) = (Best::new(top, options), Tree::default());
+        among.sort_unstable();
+        among.truncate(self.number(top));
+        let (mut best, mut tree) = (Best::new(top, &self.map.options), Tree::default());
         for bounded in &among {
             best.add(self.compared(bounded, &mut tree));
         }

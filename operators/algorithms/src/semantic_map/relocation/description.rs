@@ -115,9 +115,9 @@ fn in_units(value: f32, scale: f64) -> f32 {
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Measure {
     /// Difference of bearing in units: this many for a full turn.
-    bearing: u16,
+    pub(super) bearing: u16,
     /// Difference of orientation in units: this many for half a turn.
-    orientation: u16,
+    pub(super) orientation: u16,
     /// Evidence of two areas without any difference.
     pub(super) limit: u16,
     /// Largest difference of bearing, of `2^16` a turn.
@@ -146,28 +146,45 @@ impl Measure {
     /// 0 for areas of other classes.
     #[inline(always)]
     pub(super) fn evidence(&self, a: &AreaCode, block: &Block) -> [u16; LANES] {
-        let mut evidence = [0; LANES];
-        for (lane, evidence) in evidence.iter_mut().enumerate() {
-            let turn = a.bearing.wrapping_sub(block.bearing[lane]);
-            let turn = turn.min(turn.wrapping_neg());
+        let mut evidence = self.likeness(a, block);
+        for (evidence, bearing) in evidence.iter_mut().zip(&block.bearing) {
+            *evidence = self.at_bearing(*evidence, a.bearing.wrapping_sub(*bearing));
+        }
+        evidence
+    }
+
+    /// The same whichever way one looks: `limit` less the differences of all but the bearing.
+    #[inline(always)]
+    pub(super) fn likeness(&self, a: &AreaCode, block: &Block) -> [u16; LANES] {
+        let mut likeness = [0; LANES];
+        for (lane, likeness) in likeness.iter_mut().enumerate() {
             let tilt = a.orientation.wrapping_sub(block.orientation[lane]);
             let tilt = share(tilt.min(tilt.wrapping_neg()), self.orientation);
-            let difference = share(turn, self.bearing)
-                .saturating_add(a.elevation.abs_diff(block.elevation[lane]))
+            let difference = a
+                .elevation
+                .abs_diff(block.elevation[lane])
                 .saturating_add(a.size.abs_diff(block.size[lane]))
                 .saturating_add(a.elongation.abs_diff(block.elongation[lane]))
                 .saturating_add(share(tilt, a.stretch.min(block.stretch[lane])));
             // Without a branch, so that all lanes are one instruction.
-            let near = (turn <= self.max_bearing) & (a.class == block.class[lane]);
-            *evidence = self.limit.saturating_sub(difference) & u16::from(near).wrapping_neg();
+            let same = u16::from(a.class == block.class[lane]).wrapping_neg();
+            *likeness = self.limit.saturating_sub(difference) & same;
         }
-        evidence
+        likeness
+    }
+
+    /// What is left of a likeness where bearings are `apart` (`2^16` is a full turn, either way round).
+    #[inline(always)]
+    pub(super) fn at_bearing(&self, likeness: u16, apart: u16) -> u16 {
+        let turn = apart.min(apart.wrapping_neg());
+        let near = u16::from(turn <= self.max_bearing).wrapping_neg();
+        likeness.saturating_sub(share(turn, self.bearing)) & near
     }
 }
 
 /// A share of `2^16`.
 #[inline(always)]
-fn share(value: u16, of: u16) -> u16 {
+pub(super) fn share(value: u16, of: u16) -> u16 {
     ((u32::from(value) * u32::from(of)) >> 16) as u16
 }
 
@@ -201,7 +218,14 @@ pub(super) fn order(graph: &Graph, options: &Options) -> Vec<usize> {
     order
 }
 
-/// A view's areas, the most important first, with what touches what.
+/// A map's areas that take part: class by class, the largest of each first.
+pub(super) fn order_in_map(graph: &Graph, options: &Options) -> Vec<usize> {
+    let mut order = order(graph, &options.of_map());
+    order.sort_by_key(|area| graph.areas[*area].class);
+    order
+}
+
+/// A view's areas with what touches what: a query's the most important first, a map's class by class.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub(super) struct Description {
     pub(super) areas: Areas,
@@ -214,12 +238,12 @@ pub(super) struct Description {
 }
 
 impl Description {
-    pub(super) fn new(graph: &Graph, options: &Options) -> Self {
+    /// A graph's areas in some order.
+    pub(super) fn new(graph: &Graph, order: &[usize], options: &Options) -> Self {
         let rad_per_px = rad_per_px(graph, options);
-        let order = order(graph, options);
         let mut described = Self::default();
         let mut weights = Vec::with_capacity(order.len());
-        for area in &order {
+        for area in order {
             let area = &graph.areas[*area];
             let pixels = area.pixels.max(1) as f32;
             weights.push(pixels.powf(options.size_power as f32));
@@ -253,7 +277,7 @@ impl Description {
         let all: f32 = weights.iter().sum();
         let relative = |weight: &f32| ((weight / all * 65536.0) as u32).max(1);
         described.weights = weights.iter().map(relative).collect();
-        described.connect(graph, &order, rad_per_px);
+        described.connect(graph, order, rad_per_px);
         described
     }
 

@@ -4,7 +4,7 @@ use std::cmp::Reverse;
 
 use pulp::{Arch, Simd, WithSimd};
 
-use super::description::{Description, Measure};
+use super::description::{Areas, Description, LANES, Measure, order_in_map};
 use super::options::Options;
 use super::tree::{Constraints, Interpretation, Pair, Tree};
 use crate::semantic_map::semantic_graph::Graph;
@@ -18,16 +18,49 @@ pub(super) struct Level {
     pub(super) described: Description,
     /// Where each view's blocks of areas begin, and the number of all.
     pub(super) offsets: Vec<u32>,
-    pub(super) arch: Arch,
+    /// Where the classes of each view lie, one view after the other.
+    spans: Vec<Span>,
+    /// Where each view's spans begin, and the number of all.
+    starts: Vec<u32>,
+    arch: Arch,
+}
+
+/// The blocks of a view that have areas of a class.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Span {
+    pub(super) class: u16,
+    /// From the view's first block on.
+    pub(super) first: u16,
+    pub(super) end: u16,
+}
+
+/// The spans of a view's areas, class by class.
+fn spans(areas: &Areas) -> Vec<Span> {
+    let mut spans: Vec<Span> = Vec::new();
+    for area in 0..areas.len() {
+        let (class, block) = (areas.at(area).class, (area / LANES) as u16);
+        match spans.last_mut() {
+            Some(span) if span.class == class => span.end = block + 1,
+            _ => spans.push(Span {
+                class,
+                first: block,
+                end: block + 1,
+            }),
+        }
+    }
+    spans
 }
 
 impl Level {
     pub(super) fn new<'a>(graphs: impl Iterator<Item = &'a Graph>, options: &Options) -> Self {
         let mut described = Description::default();
-        let mut offsets = vec![0];
-        let of_map = options.of_map();
+        let (mut offsets, mut starts) = (vec![0], vec![0]);
+        let mut all_spans = Vec::new();
         for graph in graphs {
-            described.append(Description::new(graph, &of_map));
+            let view = Description::new(graph, &order_in_map(graph, options), options);
+            all_spans.append(&mut spans(&view.areas));
+            starts.push(all_spans.len() as u32);
+            described.append(view);
             offsets.push(described.areas.blocks.len() as u32);
         }
         Self {
@@ -35,6 +68,8 @@ impl Level {
             rules: Constraints::new(options),
             described,
             offsets,
+            spans: all_spans,
+            starts,
             arch: Arch::new(),
         }
     }
@@ -46,12 +81,16 @@ impl Level {
         view: u32,
         turn: u16,
     ) -> Option<Pair<'a>> {
-        let bounds = self.offsets.get(view as usize..)?.get(..2)?;
+        let of_view = |starts: &'a [u32]| {
+            let ends = starts.get(view as usize..)?.get(..2)?;
+            Some(ends[0] as usize..ends[1] as usize)
+        };
         Some(Pair {
             query,
             turn,
             map: &self.described,
-            blocks: bounds[0] as usize..bounds[1] as usize,
+            blocks: of_view(&self.offsets)?,
+            spans: self.spans.get(of_view(&self.starts)?)?,
         })
     }
 

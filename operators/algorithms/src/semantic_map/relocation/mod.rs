@@ -1,7 +1,7 @@
 //! Where a view was taken: views found by what they show.
 //!
 //! ```text
-//!   Graph ──► ViewMap   all views' areas by class and bearing ──► bound on every view ──► interpretation trees, best first
+//!   Graph ──► ViewMap   all views' areas by class, elevation and size ──► bound on every view ──► interpretation trees, best first
 //!        └──► ClassIndex views by which classes they show, and how many areas of each
 //! ```
 //!
@@ -15,6 +15,7 @@ mod bounds;
 mod calibration;
 mod class_index;
 mod description;
+mod headings;
 mod level;
 mod options;
 mod tree;

@@ -4,6 +4,7 @@ use std::f32::consts::TAU;
 use std::ops::Range;
 
 use super::description::{AreaCode, Areas, Block, Description, LANES, Measure, UNIT};
+use super::level::Span;
 use super::options::{Options, divisor};
 use crate::semantic_map::semantic_graph::Relation;
 
@@ -19,7 +20,7 @@ pub(super) struct Interpretation {
 /// The tree's memory, used again and again.
 #[derive(Debug, Clone, Default)]
 pub(super) struct Tree {
-    /// What an area of the query could be, for each area of the other view.
+    /// What an area of the query could be, for each area of the other view that may have its class.
     row: Vec<[u16; LANES]>,
     /// By area of the other view: all bits set while it is not matched.
     free: Vec<[u16; LANES]>,
@@ -37,9 +38,23 @@ pub(super) struct Pair<'a> {
     pub(super) map: &'a Description,
     /// Which of their blocks are the view's.
     pub(super) blocks: Range<usize>,
+    /// And which of those have areas of a class.
+    pub(super) spans: &'a [Span],
 }
 
 impl Pair<'_> {
+    /// The map's blocks that have the view's areas of an area's class.
+    #[inline(always)]
+    pub(super) fn like(&self, code: &AreaCode) -> Range<usize> {
+        let first = self.blocks.start;
+        for span in self.spans {
+            if span.class == code.class {
+                return first + usize::from(span.first)..first + usize::from(span.end);
+            }
+        }
+        first..first
+    }
+
     /// The turn at which matched areas are as often to the left of their matches as to the right, by their weights.
     pub(super) fn fitted_turn(&self, found: &Interpretation) -> u16 {
         let mut apart: Vec<(i16, u32)> = found
@@ -99,33 +114,45 @@ impl Tree {
         for area in 0..pair.query.areas.len() {
             let mut code = pair.query.areas.at(area);
             code.bearing = code.bearing.wrapping_add(pair.turn);
-            self.compare(
-                &code,
-                &pair.map.areas.blocks[pair.blocks.clone()],
-                &rules.measure,
-            );
-            while let Some((other, evidence)) = best(&self.row) {
+            let like = pair.like(&code);
+            let first = like.start - pair.blocks.start;
+            let blocks = &pair.map.areas.blocks[like];
+            let mut most = self.compare(&code, blocks, first, &rules.measure);
+            while let Some((at, evidence)) = best(&self.row, most) {
+                let other = first * LANES + at;
                 if self.fits(pair, rules, area, other) {
                     self.take(area, other, u32::from(evidence) * pair.query.weights[area]);
                     break;
                 }
-                self.row[other / LANES][other % LANES] = 0;
+                self.row[at / LANES][at % LANES] = 0;
+                most = highest(&self.row);
             }
         }
         &self.found
     }
 
-    /// Fills the row, with 0 for areas that are matched.
+    /// Fills the row with some blocks of the view, from its `first` on: 0 for areas that are matched.
     #[inline(always)]
-    fn compare(&mut self, code: &AreaCode, blocks: &[Block], measure: &Measure) {
+    fn compare(
+        &mut self,
+        code: &AreaCode,
+        blocks: &[Block],
+        first: usize,
+        measure: &Measure,
+    ) -> u16 {
         self.row.clear();
-        for (block, free) in blocks.iter().zip(&self.free) {
+        let mut most = [0; LANES];
+        for (block, free) in blocks.iter().zip(&self.free[first..]) {
             let mut evidence = measure.evidence(code, block);
             for (evidence, free) in evidence.iter_mut().zip(free) {
                 *evidence &= free;
             }
+            for (most, evidence) in most.iter_mut().zip(&evidence) {
+                *most = (*most).max(*evidence);
+            }
             self.row.push(evidence);
         }
+        most.into_iter().fold(0, u16::max)
     }
 
     fn take(&mut self, area: usize, other: usize, evidence: u32) {
@@ -176,22 +203,39 @@ impl Tree {
     }
 }
 
-/// The area with the most evidence; the first of equal ones.
+/// The most evidence.
 #[inline(always)]
-fn best(row: &[[u16; LANES]]) -> Option<(usize, u16)> {
+fn highest(row: &[[u16; LANES]]) -> u16 {
     let mut most = [0; LANES];
     for evidence in row {
         for (most, evidence) in most.iter_mut().zip(evidence) {
             *most = (*most).max(*evidence);
         }
     }
-    let most = most.into_iter().fold(0, u16::max);
+    most.into_iter().fold(0, u16::max)
+}
+
+/// The first area with the most evidence, which is given.
+#[inline(always)]
+fn best(row: &[[u16; LANES]], most: u16) -> Option<(usize, u16)> {
     if most == 0 {
         return None;
     }
-    let at = row
-        .as_flattened()
-        .iter()
-        .position(|evidence| *evidence == most)?;
-    Some((at, most))
+    for (block, evidence) in row.iter().enumerate() {
+        let lanes = lanes(evidence, most);
+        if lanes != 0 {
+            return Some((block * LANES + lanes.trailing_zeros() as usize, most));
+        }
+    }
+    None
+}
+
+/// The lanes with this much evidence: a bit each.
+#[inline(always)]
+fn lanes(row: &[u16; LANES], evidence: u16) -> u16 {
+    let mut bits = [0; LANES];
+    for (lane, bit) in bits.iter_mut().enumerate() {
+        *bit = u16::from(row[lane] == evidence).wrapping_neg() & (1 << lane);
+    }
+    bits.iter().fold(0, |lanes, bit| lanes | bit)
 }

@@ -4,15 +4,14 @@ use std::cmp::Reverse;
 use std::f64::consts::TAU;
 use std::ops::Range;
 
-use pulp::{Simd, WithSimd};
-
 use super::again::Again;
 use super::bounds::Bounds;
-use super::description::{Description, order};
+use super::description::{Description, order, order_in_map};
 use super::level::{Found, Level};
 use super::options::Options;
 use super::similarity;
 use super::tree::Tree;
+use crate::processor::vectorised;
 use crate::semantic_map::semantic_graph::Graph;
 
 /// Candidates are sorted and looked at in as many rounds, by their bounds.
@@ -25,7 +24,7 @@ pub struct ViewMap {
     pub(super) turns: Vec<u16>,
     /// What is searched.
     pub(super) large: Level,
-    bounds: Bounds,
+    pub(super) bounds: Bounds,
     /// What candidates are compared by again; `None` where the search alone decides.
     all: Option<Level>,
 }
@@ -73,9 +72,10 @@ impl ViewMap {
         let code = |turn: f64| ((turn / TAU * 65536.0).round() as i64).rem_euclid(65536) as u16;
         let large = Level::new(graphs.clone(), &options);
         let again = options.candidates > 0;
+        let turns: Vec<u16> = options.turns_rad().map(code).collect();
         Self {
-            turns: options.turns_rad().map(code).collect(),
-            bounds: Bounds::new(&large.described, &large.offsets),
+            bounds: Bounds::new(&large.described, &large.offsets, &turns, &large.measure),
+            turns,
             large,
             all: again.then(|| Level::new(graphs, &options.of_any_size())),
             options,
@@ -94,10 +94,12 @@ impl ViewMap {
 
     /// Prepares a view to be looked for.
     pub fn query(&self, graph: &Graph) -> Query {
+        let described =
+            |options: &Options| Description::new(graph, &order(graph, options), options);
         let again = self.options.candidates > 0;
         Query {
-            large: Description::new(graph, &self.options),
-            all: again.then(|| Description::new(graph, &self.options.of_any_size())),
+            large: described(&self.options),
+            all: again.then(|| described(&self.options.of_any_size())),
         }
     }
 
@@ -105,22 +107,17 @@ impl ViewMap {
     /// number), of those that `allowed` lets pass. Where the search alone decides, exactly those that comparing with every
     /// view would give; else those of [`Options::candidates`].
     pub fn search(&self, query: &Query, top: usize, allowed: impl Fn(u32) -> bool) -> Vec<Hit> {
-        let bounds = self.large.arch.dispatch(Bounding { map: self, query });
         if let Some(again) = self.again(query) {
-            let views = (0..self.len() as u32).filter(|view| allowed(*view));
-            let bounded = views.filter_map(|view| {
-                let bounds = bounds.iter().map(|of_turn| of_turn[view as usize]);
-                again.bounded(view, bounds)
-            });
-            return again.best(bounded.collect(), top);
+            return again.search(top, allowed);
         }
-        let most = bounds.iter().flatten().max().copied().unwrap_or(0);
+        let bounds = self.bounded(query);
+        let most = bounds.iter().max().copied().unwrap_or(0);
         let (mut best, mut tree) = (Best::new(top, &self.options), Tree::default());
         let mut end = u32::MAX;
         for round in 1..=ROUNDS {
             // Bounds from `start` up to those of the round before.
             let start = most - (u64::from(most) * u64::from(round) / u64::from(ROUNDS)) as u32;
-            for candidate in candidates(&bounds, start..end) {
+            for candidate in candidates(&bounds, self.turns.len(), start..end) {
                 if best.are_above(candidate.bound) {
                     return best.hits(self, query);
                 }
@@ -168,6 +165,19 @@ impl ViewMap {
         best.map(|found| self.hit(query, &found))
     }
 
+    /// What each view could be worth at each heading, at most, one view after the other.
+    fn bounded(&self, query: &Query) -> Vec<u32> {
+        let mut bounds = Vec::with_capacity(self.len() * self.turns.len());
+        vectorised(
+            #[inline(always)]
+            || {
+                let tell = |of_turns: &[u32]| bounds.extend_from_slice(of_turns);
+                self.bounds.of_all(&query.large, tell);
+            },
+        );
+        bounds
+    }
+
     /// `None` where the search alone decides.
     fn again<'a>(&'a self, query: &'a Query) -> Option<Again<'a>> {
         Some(Again {
@@ -209,20 +219,15 @@ struct Candidate {
     view: u32,
 }
 
-/// Those with bounds in a range, the highest first; of equal ones the first view.
-fn candidates(bounds: &[Vec<u32>], range: Range<u32>) -> Vec<Candidate> {
+/// Of the bounds at so many headings of each view those in a range, the highest first; of equal ones the first view.
+fn candidates(bounds: &[u32], headings: usize, range: Range<u32>) -> Vec<Candidate> {
     let mut found = Vec::new();
-    for (turn, bounds) in bounds.iter().enumerate() {
-        let within = bounds
-            .iter()
-            .zip(0_u32..)
-            .filter(|(bound, _)| range.contains(bound));
-        found.extend(within.map(|(bound, view)| Candidate {
-            bound: *bound,
-            turn,
-            view,
-        }));
-    }
+    let within = (0..).zip(bounds).filter(|(_, bound)| range.contains(bound));
+    found.extend(within.map(|(at, bound): (usize, _)| Candidate {
+        bound: *bound,
+        turn: at % headings,
+        view: (at / headings) as u32,
+    }));
     found.sort_unstable_by_key(|candidate| {
         (Reverse(candidate.bound), candidate.view, candidate.turn)
     });
@@ -276,24 +281,6 @@ impl Best {
     }
 }
 
-/// What is compiled for the widest registers there are.
-struct Bounding<'a> {
-    map: &'a ViewMap,
-    query: &'a Query,
-}
-
-impl WithSimd for Bounding<'_> {
-    type Output = Vec<Vec<u32>>;
-
-    #[inline(always)]
-    fn with_simd<S: Simd>(self, _: S) -> Self::Output {
-        let Self { map, query } = self;
-        let turns = map.turns.iter();
-        let bounds = turns.map(|turn| map.bounds.of(&query.large, *turn, &map.large.measure));
-        bounds.collect()
-    }
-}
-
 /// Areas of two views that are taken for the same things: indices into the query's areas and into the view's. Of the
 /// turns only the first counts.
 pub fn matched_areas(query: &Graph, view: &Graph, options: &Options) -> Vec<[usize; 2]> {
@@ -303,7 +290,7 @@ pub fn matched_areas(query: &Graph, view: &Graph, options: &Options) -> Vec<[usi
     let Some(pair) = turn.and_then(|turn| map.large.pair(&asked.large, 0, *turn)) else {
         return Vec::new();
     };
-    let orders = [order(query, options), order(view, &options.of_map())];
+    let orders = [order(query, options), order_in_map(view, options)];
     let matched = map.large.grown(&pair, &mut tree).pairs.iter();
     matched
         .map(|[a, b]| [orders[0][usize::from(*a)], orders[1][usize::from(*b)]])

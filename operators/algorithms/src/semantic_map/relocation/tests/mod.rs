@@ -9,6 +9,7 @@ use super::*;
 use crate::semantic_map::semantic_graph::{Area, Edge, Graph};
 
 pub(in crate::semantic_map) mod graphs;
+mod reference;
 
 use graphs::{WIDTH, graph};
 
@@ -172,6 +173,42 @@ fn what_is_no_number_takes_no_part() {
     let map = ViewMap::new(graphs.iter(), unturned);
     assert_eq!(map.search(&map.query(&graphs[2]), 3, |_| true), []);
     assert_eq!(map.compare(&map.query(&graphs[2]), 2), None);
+}
+
+/// More views than are bounded together: the one of its kind is found wherever it lies.
+#[test]
+fn a_view_is_found_among_thousands() {
+    let view = |class: u8, u: f32| Graph {
+        width: WIDTH,
+        height: 333,
+        wraps: true,
+        areas: vec![Area {
+            class,
+            pixels: 5000,
+            u,
+            v: 160.0,
+            major_px: 40.0,
+            minor_px: 30.0,
+            orientation_rad: 0.0,
+            eccentricity: 0.5,
+        }],
+        ..Graph::default()
+    };
+    for (own, headings) in [(0, 24), (1000, 7), (2047, 24), (2048, 1), (2999, 24)] {
+        let graphs: Vec<Graph> = (0..3000)
+            .map(|at| view(u8::from(at == own), 300.0))
+            .collect();
+        let options = Options {
+            headings,
+            candidates: 1,
+            ..Options::default()
+        };
+        let map = ViewMap::new(graphs.iter(), options);
+        let hits = map.search(&map.query(&view(1, 290.0)), 1, |_| true);
+        assert_eq!(hits.first().map(|hit| hit.view), Some(own), "{headings}");
+        let passed = |view: u32| view != own;
+        assert_eq!(map.search(&map.query(&view(1, 290.0)), 1, passed), []);
+    }
 }
 
 /// Places of one kind each, two views of every one: found in their own drive, and sure of it; places that all look the same
