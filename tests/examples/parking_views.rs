@@ -17,12 +17,13 @@ use std::time::Instant;
 
 use evermap_algorithms::ground::boxes::GroundBox;
 use evermap_algorithms::ground::boxes::mosaic::Mosaic;
-use evermap_algorithms::ground::boxes::picture::{Picture, Pixel};
+use evermap_algorithms::ground::boxes::picture::Picture;
 use evermap_algorithms::ground::boxes::teaching::{
     Example, Hypothesis, Said, Taught, TeachingParams,
 };
+use evermap_algorithms::ground::channels::Pixels;
 use evermap_algorithms::ground::tiles::TILE_CELLS;
-use evermap_vision::{Grey, decode_grey};
+use evermap_vision::{Rgb, decode_colour};
 
 /// Pixels of the views to a metre: 600 are 10 m.
 const PIXELS_PER_M: f64 = 60.0;
@@ -34,23 +35,23 @@ const REACH_M: [f64; 2] = [0.5, 1.5];
 /// Corners that are as far apart as this are those of one entrance (m).
 const ENTRANCE_M: std::ops::Range<f64> = 1.8..4.0;
 /// The vehicle in the middle of a view is black, as is what its cameras do not see.
-const BLACK: u8 = 3;
+const BLACK: usize = 3;
 
 /// Views in a row of the overhead image.
 const ROW: i64 = 8;
 
 /// A view, and the corners of each entrance (px).
 struct View {
-    image: Grey,
+    image: Rgb,
     entrances: Vec<[[f64; 2]; 2]>,
     /// Where the vehicle stands (px): spaces are entered from there.
     vehicle: [f64; 2],
 }
 
-fn image(path: &Path) -> Grey {
-    let mut grey = Grey::default();
-    decode_grey(&fs::read(path).unwrap(), &mut grey).unwrap();
-    grey
+fn image(path: &Path) -> Rgb {
+    let mut rgb = Rgb::default();
+    decode_colour(&fs::read(path).unwrap(), &mut rgb).unwrap();
+    rgb
 }
 
 /// Views with boxes about corners (class 0) and about two corners of an entrance (class 1).
@@ -181,23 +182,31 @@ impl Floor {
 }
 
 /// A view in cells, in the north-west corner of a tile.
-fn pixels(image: &Grey) -> Vec<Pixel> {
+fn pixels(image: &Rgb) -> Pixels {
     let cell = |at: usize| {
         let [column, row] = [at % TILE_CELLS, at / TILE_CELLS].map(|it| it * PIXELS_PER_CELL);
         let inside = column + PIXELS_PER_CELL <= image.width as usize
             && row + PIXELS_PER_CELL <= image.height as usize;
         if !inside {
-            return [0, 0];
+            return [0; 4];
         }
-        let rows = (row..row + PIXELS_PER_CELL).flat_map(|row| {
-            let from = row * image.width as usize + column;
-            &image.data[from..from + PIXELS_PER_CELL]
-        });
-        let sum: usize = rows.map(|grey| usize::from(*grey)).sum();
-        let grey = (sum / (PIXELS_PER_CELL * PIXELS_PER_CELL)) as u8;
-        [grey, if grey > BLACK { 255 } else { 0 }]
+        let mean = |channel: usize| {
+            let rows = (row..row + PIXELS_PER_CELL).flat_map(|row| {
+                let from = 3 * (row * image.width as usize + column);
+                &image.data[from..from + 3 * PIXELS_PER_CELL]
+            });
+            let values = rows.skip(channel).step_by(3);
+            let sum: usize = values.map(|value| usize::from(*value)).sum();
+            (sum / (PIXELS_PER_CELL * PIXELS_PER_CELL)) as u8
+        };
+        let colour = [0, 1, 2].map(mean);
+        let luma = [299, 587, 114].iter().zip(colour);
+        let luma: usize = luma.map(|(part, value)| part * usize::from(value)).sum();
+        let [red, green, blue] = colour;
+        let is_seen = luma / 1000 > BLACK;
+        [red, green, blue, if is_seen { 255 } else { 0 }]
     };
-    (0..TILE_CELLS * TILE_CELLS).map(cell).collect()
+    Pixels::Colour((0..TILE_CELLS * TILE_CELLS).map(cell).collect())
 }
 
 /// The box about an entrance, entered from where the vehicle is; `None` where the corners are of no one entrance.

@@ -1,5 +1,5 @@
-"""Reads a GeoTIFF of two tiles with GDAL's eyes: earth|local FILE. The tiles, -1/0 and 0/1 of 400 cells of 0.5 m, have the
-grey (column + 3 row) mod 256; on earth the map's x axis points north."""
+"""Reads a GeoTIFF of two tiles with GDAL's eyes: earth|local|colour FILE. The tiles, -1/0 and 0/1 of 400 cells of 0.5 m, have the
+grey (column + 3 row) mod 256; on earth the map's x axis points north. In colour that is red, green the rest to 255, blue 7."""
 
 import sys
 
@@ -22,21 +22,27 @@ def expected():
 
 def main(where, path):
     grey, alpha = expected()
+    bands, names, first = [grey], ["gray"], [2]
+    if where == "colour":
+        seen = alpha > 0
+        bands = [grey, numpy.where(seen, 255 - grey, 0), numpy.where(seen, 7, 0)]
+        names, first = ["red", "green", "blue"], [2, 253, 7]
+    bands, names = [*bands, alpha], [*names, "alpha"]
     sound, errors, warnings = cog_validate(path, strict=True, quiet=True)
     assert sound, (errors, warnings)
     with rasterio.open(path) as file:
-        assert (file.width, file.height, file.count) == (2 * SIDE, 2 * SIDE, 2)
-        assert file.block_shapes == [(256, 256)] * 2 and file.compression.name == "deflate"
-        assert [one.name for one in file.colorinterp] == ["gray", "alpha"]
-        assert (file.read(1) == grey).all() and (file.read(2) == alpha).all()
+        assert (file.width, file.height, file.count) == (2 * SIDE, 2 * SIDE, len(bands))
+        assert file.block_shapes == [(256, 256)] * len(bands) and file.compression.name == "deflate"
+        assert [one.name for one in file.colorinterp] == names
+        assert (file.read() == numpy.stack(bands)).all()
         assert (file.dataset_mask() == alpha).all()
         assert file.overviews(1) == [2, 4]
         # Of the north-western cells of the north-eastern tile, 2 by 2: 0, 1, 3 and 4.
-        half = file.read(out_shape=(2, SIDE, SIDE))
-        assert half[:, 0, SIDE // 2].tolist() == [2, 255] and half[:, 0, 0].tolist() == [0, 0]
+        half = file.read(out_shape=(len(bands), SIDE, SIDE))
+        assert half[:, 0, SIDE // 2].tolist() == [*first, 255] and not half[:, 0, 0].any()
         # The corner of the north-eastern tile is 0 m, 400 m in the map; a step to the right is 0.5 m along x.
         corner, right = file.transform * (SIDE, 0), file.transform * (SIDE + 1, 0)
-        if where == "local":
+        if where != "earth":
             assert numpy.allclose((*corner, *right), (0, 400, CELL_M, 400), atol=1e-9), (corner, right)
             assert not file.crs.is_projected and not file.crs.is_geographic, file.crs
             assert file.crs.units_factor == ("metre", 1.0), file.crs

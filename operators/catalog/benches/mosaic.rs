@@ -4,6 +4,7 @@
 //!
 //! * `decode`: the images, nothing else.
 //! * `mosaic`: images to patches to tile sums of five zooms, serialised: the operators, as the engine calls them.
+//! * `decode_colour`, `mosaic_colour`: the same of JPEGs in colour, 4:2:0.
 //! * `remap_fixed`: decode, remap by one map for all images (so the vehicle never turns or moves by part of a cell),
 //!   add value × weight and weight in floating point; one zoom.
 //! * `remap_posed`: the same with the map that belongs to each pose.
@@ -19,7 +20,7 @@ use evermap_bench::remap::Remap;
 use evermap_contract::{Emit, Job, Losses, Phase, Sides};
 use evermap_schemas::roles::{Calibration, Transform};
 use evermap_schemas::{Bytes, ImageRef, Stamp, batch, record};
-use evermap_vision::{Grey, decode_grey};
+use evermap_vision::{Grey, Rgb, decode_colour, decode_grey};
 use nalgebra::{Matrix3, Rotation3, UnitQuaternion, Vector3};
 use serde_json::json;
 
@@ -90,24 +91,24 @@ fn pose(index: i64) -> Pose {
 }
 
 /// A rough floor with squares: about as much for a decoder to do as a real car park.
-fn jpeg() -> Vec<u8> {
+fn jpeg(channels: jpeg_encoder::ColorType) -> Vec<u8> {
     let mut seed = 1_u32;
     let mut noise = || {
         seed = seed.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
         (seed >> 28) as u8
     };
-    let pixels: Vec<u8> = (0..SIZE[1])
+    let grey: Vec<u8> = (0..SIZE[1])
         .flat_map(|v| (0..SIZE[0]).map(move |u| (u, v)))
         .map(|(u, v)| if (u / 37 + v / 29) % 2 == 0 { 60 } else { 150 } + noise())
         .collect();
+    let pixels = match channels {
+        jpeg_encoder::ColorType::Luma => grey,
+        // The brighter, the more yellow.
+        _ => grey.iter().flat_map(|grey| [*grey, *grey, 60]).collect(),
+    };
     let mut bytes = Vec::new();
     jpeg_encoder::Encoder::new(&mut bytes, 85)
-        .encode(
-            &pixels,
-            SIZE[0] as u16,
-            SIZE[1] as u16,
-            jpeg_encoder::ColorType::Luma,
-        )
+        .encode(&pixels, SIZE[0] as u16, SIZE[1] as u16, channels)
         .unwrap();
     bytes
 }
@@ -289,7 +290,7 @@ impl Sheet {
 }
 
 fn mosaics(criterion: &mut Criterion) {
-    let jpeg = jpeg();
+    let [jpeg, in_colour] = [jpeg_encoder::ColorType::Luma, jpeg_encoder::ColorType::Rgb].map(jpeg);
     let mut group = criterion.benchmark_group("mosaic");
     group
         .sample_size(10)
@@ -298,6 +299,14 @@ fn mosaics(criterion: &mut Criterion) {
     group.bench_function("decode", |bench| {
         bench.iter(|| (0..IMAGES).for_each(|_| decode_grey(black_box(&jpeg), &mut grey).unwrap()));
     });
+    let mut rgb = Rgb::default();
+    group.bench_function("decode_colour", |bench| {
+        bench.iter(|| {
+            (0..IMAGES).for_each(|_| decode_colour(black_box(&in_colour), &mut rgb).unwrap());
+        });
+    });
+    let mosaic = Mosaic::new(&in_colour);
+    group.bench_function("mosaic_colour", |bench| mosaic.bench(bench));
     let mosaic = Mosaic::new(&jpeg);
     group.bench_function("mosaic", |bench| mosaic.bench(bench));
     let (fixed, weights) = Area::around(&pose(0)).remap(&pose(0));

@@ -25,6 +25,24 @@ pub fn image_size(bytes: &[u8]) -> Result<[u32; 2], ImageError> {
     Ok([header.width, header.height])
 }
 
+/// Whether an image has room for colours, by what stands before its pixels: more than a channel, transparency aside. Its
+/// pixels may be grey all the same.
+///
+/// # Errors
+/// [`ImageError`] for bytes that are no image, too large a one, or a JPEG that is damaged before its pixels.
+pub fn holds_colour(bytes: &[u8]) -> Result<bool, ImageError> {
+    let header = header(bytes)?;
+    Ok(match header.format {
+        "jpeg" => {
+            let decoder = jpeg_reader(bytes, &header, ColorSpace::RGB)?;
+            decoder.input_colorspace() != Some(ColorSpace::Luma)
+        }
+        // Grey, and grey with transparency; a palette is of colours.
+        "png" => !matches!(bytes.get(PNG_COLOUR), Some(0 | 4)),
+        _ => !bytes.starts_with(b"P5"),
+    })
+}
+
 /// Decodes an image (JPEG, PNG, PGM or PPM, by its first bytes) to 8-bit grey, into a buffer that is
 /// used again. After an error its contents mean nothing.
 ///
@@ -81,6 +99,24 @@ fn jpeg(
     wanted: ColorSpace,
     buffer: &mut [u8],
 ) -> Result<bool, ImageError> {
+    let mut decoder = jpeg_reader(bytes, header, wanted)?;
+    let holds_luma = matches!(
+        decoder.input_colorspace(),
+        Some(ColorSpace::YCbCr | ColorSpace::Luma)
+    );
+    if wanted == ColorSpace::Luma && !holds_luma {
+        return Ok(false);
+    }
+    let decoded = decoder.decode_into(buffer);
+    decoded.map_err(|_| header.damaged(bytes)).map(|()| true)
+}
+
+/// A JPEG of which all is read that stands before its pixels.
+fn jpeg_reader<'a>(
+    bytes: &'a [u8],
+    header: &Header,
+    wanted: ColorSpace,
+) -> Result<JpegDecoder<ZCursor<&'a [u8]>>, ImageError> {
     let damaged = || header.damaged(bytes);
     let (width, height) = (header.width as usize, header.height as usize);
     let options = DecoderOptions::default()
@@ -93,15 +129,7 @@ fn jpeg(
     if decoder.dimensions() != Some((width, height)) {
         return Err(damaged());
     }
-    let holds_luma = matches!(
-        decoder.input_colorspace(),
-        Some(ColorSpace::YCbCr | ColorSpace::Luma)
-    );
-    if wanted == ColorSpace::Luma && !holds_luma {
-        return Ok(false);
-    }
-    let decoded = decoder.decode_into(buffer);
-    decoded.map_err(|_| damaged()).map(|()| true)
+    Ok(decoder)
 }
 
 /// Values of so many bits in samples of 16 leave at most four of the upper eight: too few grey values for a feature, and a
@@ -247,10 +275,13 @@ fn may_be_whole(bytes: &[u8], header: &Header) -> bool {
 /// Deflate says at most 258 bytes by 2 bits (RFC 1951).
 const DEFLATE_RATIO: u64 = 1032;
 
+/// Where a PNG's header says the kind of its colours.
+const PNG_COLOUR: usize = 25;
+
 /// Bits of a pixel, by a PNG's header: behind its signature, the chunk's length and name, width and height stand the
 /// bits of a value and the kind of colour. One where it says what no PNG has: its decoder refuses that.
 fn png_bits(bytes: &[u8]) -> u64 {
-    let values = match bytes.get(24..26) {
+    let values = match bytes.get(PNG_COLOUR - 1..=PNG_COLOUR) {
         Some([depth @ (1 | 2 | 4 | 8 | 16), 0 | 3]) => *depth,
         Some([depth @ (8 | 16), 2]) => 3 * depth,
         Some([depth @ (8 | 16), 4]) => 2 * depth,

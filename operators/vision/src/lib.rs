@@ -19,7 +19,7 @@ mod people;
 mod stored;
 mod threads;
 
-pub use decode::{decode_colour, decode_grey, image_size};
+pub use decode::{decode_colour, decode_grey, holds_colour, image_size};
 pub use features::{Blind, DESCRIPTOR_BYTES, Detectors, FeatureParams, KeyPoints, Vignette};
 pub use grey::{Grey, Grey16, ImageError, MAX_PIXELS, Rgb};
 pub use people::PeopleDetector;

@@ -1,7 +1,7 @@
 //! Decoding: exact where the format is, refused where the bytes are not an image, and never a panic.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
-use evermap_vision::{Grey, ImageError, decode_depth, decode_grey, image_size};
+use evermap_vision::{Grey, ImageError, decode_depth, decode_grey, holds_colour, image_size};
 use png::{BitDepth, ColorType};
 use proptest::prelude::*;
 
@@ -58,6 +58,42 @@ fn decode(bytes: &[u8]) -> Result<Grey, ImageError> {
     let mut grey = Grey::default();
     decode_grey(bytes, &mut grey)?;
     Ok(grey)
+}
+
+#[test]
+fn what_has_room_for_colours_is_told_by_its_header() {
+    let png = |colour: ColorType| {
+        let data = vec![7; 4 * colour.samples()];
+        png_of(2, 2, colour, BitDepth::Eight, &data)
+    };
+    let jpeg = |colour: jpeg_encoder::ColorType| {
+        let mut bytes = Vec::new();
+        let samples = if colour == jpeg_encoder::ColorType::Luma {
+            1
+        } else {
+            3
+        };
+        jpeg_encoder::Encoder::new(&mut bytes, 90)
+            .encode(&vec![7; 64 * samples], 8, 8, colour)
+            .unwrap();
+        bytes
+    };
+    let expected = [
+        (png(ColorType::Grayscale), false),
+        (png(ColorType::GrayscaleAlpha), false),
+        (png(ColorType::Rgb), true),
+        (png(ColorType::Rgba), true),
+        (pnm("P5\n2 1\n255\n", &[1, 2]), false),
+        (pnm("P6\n1 1\n255\n", &[1, 2, 3]), true),
+        (jpeg(jpeg_encoder::ColorType::Luma), false),
+        // Grey, but recorded in colour.
+        (jpeg(jpeg_encoder::ColorType::Rgb), true),
+    ];
+    for (bytes, in_colour) in expected {
+        let head = bytes[..bytes.len().min(4)].to_vec();
+        assert_eq!(holds_colour(&bytes), Ok(in_colour), "{head:02x?}");
+    }
+    assert!(holds_colour(b"").is_err() && holds_colour(&[0xff, 0xd8, 0xff]).is_err());
 }
 
 #[test]

@@ -18,7 +18,7 @@ record! {
         cell_m: f64 ["m"],
         /// Side of the tile.
         size_m: f64 ["m"],
-        /// Grey PNG with alpha; the first row is the northernmost.
+        /// PNG with alpha, grey or in colour; the first row is the northernmost.
         png: Bytes,
     }
 }

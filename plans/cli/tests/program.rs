@@ -138,6 +138,64 @@ fn a_bad_plan_shows_all_its_faults_with_carets_and_makes_no_map() {
     assert!(!map.exists());
 }
 
+/// The channels and pixels of a PNG file.
+fn pixels(file: &str) -> (png::ColorType, Vec<u8>) {
+    let file = std::io::BufReader::new(std::fs::File::open(file).unwrap());
+    let mut reader = png::Decoder::new(file).read_info().unwrap();
+    let mut pixels = vec![0; reader.output_buffer_size().unwrap()];
+    reader.next_frame(&mut pixels).unwrap();
+    (reader.output_color_type().0, pixels)
+}
+
+#[test]
+fn a_floor_of_which_a_part_is_in_colour_is_shown_and_exported_in_colour() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
+    let map = path("map");
+    let runtime = tokio::runtime::Runtime::new().unwrap();
+    runtime.block_on(made_up::map_in_colour(Path::new(&map)));
+    for (format, file) in [("png", "floor.png"), ("geotiff", "floor.tif")] {
+        let out = path(file);
+        done(&[
+            "export",
+            "overhead_tiles",
+            "--map",
+            &map,
+            "--format",
+            format,
+            "--out",
+            &out,
+        ]);
+    }
+    let (channels, expected) = pixels(&path("floor.png"));
+    assert_eq!(channels, png::ColorType::Rgba);
+    let (pixels_of, _) = expected.as_chunks::<4>();
+    assert_eq!(pixels_of.len(), 256 * 256);
+    let is_yellow = |pixel: &[u8; 4]| *pixel == [190, 160, 20, 255];
+    let grey = |pixel: &[u8; 4]| pixel[0] == pixel[1] && pixel[1] == pixel[2] && pixel[3] == 255;
+    let yellow: Vec<usize> = (0..256 * 256)
+        .filter(|at| is_yellow(&pixels_of[*at]))
+        .collect();
+    // In the north-eastern tile alone; all else is grey.
+    assert!(yellow.len() > 100 && yellow.iter().all(|at| at % 256 >= 128 && at / 256 < 128));
+    assert_eq!(
+        pixels_of.iter().filter(|it| grey(it)).count(),
+        256 * 256 - yellow.len()
+    );
+    let tiff = std::fs::File::open(path("floor.tif")).unwrap();
+    let mut tiff = tiff::decoder::Decoder::new(std::io::BufReader::new(tiff)).unwrap();
+    let tiff::decoder::DecodingResult::U8(cells) = tiff.read_image().unwrap() else {
+        panic!("expected cells of 8 bits");
+    };
+    assert!(cells == expected, "the GeoTIFF shows another floor");
+    let out = path("map.png");
+    done(&["render", "--map", &map, "--out", &out, "--width-px", "400"]);
+    let (channels, shown) = pixels(&out);
+    let samples = channels.samples();
+    let is_yellow = |pixel: &&[u8]| pixel[0] > pixel[2].saturating_add(60);
+    assert!(shown.chunks(samples).filter(is_yellow).count() > 100);
+}
+
 fn made_up_map() -> (tempfile::TempDir, String) {
     let folder = tempfile::tempdir().unwrap();
     let map = folder.path().join("map");

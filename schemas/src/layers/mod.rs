@@ -175,7 +175,7 @@ record! {
         width: u32,
         /// Cells along y.
         height: u32,
-        /// Grey value of each cell, row by row.
+        /// Grey value of each cell, row by row; of what is in colour red, green and blue of each, three times as many.
         values: Bytes,
         /// Weight of each cell by viewing angle, 1 to 255; 0 where the image does not show it.
         weights: Bytes,
@@ -202,7 +202,8 @@ record! {
         covered: u32,
         /// Weights of all observations of a cell, added up; the mean over the covered cells.
         mean_weight: f64,
-        /// The tile as a grey PNG with alpha (0 where nothing was seen); the first row is the northernmost.
+        /// The tile as a PNG with alpha (0 where nothing was seen), in colour where a cell is, else grey; the first row is the
+        /// northernmost.
         png: Bytes,
         /// What it shows: per session, from the first to the last image that added to it; ordered by session.
         sources: Vec<Source>,

@@ -27,7 +27,9 @@ use evermap_schemas::roles::{
 };
 use evermap_schemas::{ImageRef, Stamp};
 use evermap_vision::{Grey, Rgb};
-use evermap_vision::{decode_colour, decode_depth, decode_grey, decode_labels, image_size};
+use evermap_vision::{
+    decode_colour, decode_depth, decode_grey, decode_labels, holds_colour, image_size,
+};
 use serde_json::{Value, json};
 
 /// A target.
@@ -235,6 +237,7 @@ fn decoded(bytes: &[u8]) {
     let Some(pixels) = small(bytes) else {
         return;
     };
+    let _ = holds_colour(bytes);
     let mut grey = Grey::default();
     if decode_grey(bytes, &mut grey).is_ok() {
         assert_eq!(

@@ -4,6 +4,7 @@
 //! |---|---|
 //! | [`boxes`] | boxes that look alike: parking spaces, crossings, arrows |
 //! | [`cells`] | square cells by column and row, which are neighbours, which lie in an outline or along a line |
+//! | [`channels`] | what images show of a cell: how bright it is, or its colour |
 //! | [`danger`] | where people are, how often anybody looked, how fast to drive there |
 //! | [`floor`] | the height of a floor that bends, by where vehicles stood |
 //! | [`patch`] | what one image shows of the ground |
@@ -15,6 +16,7 @@
 
 pub mod boxes;
 pub mod cells;
+pub mod channels;
 pub mod danger;
 pub mod floor;
 pub mod patch;

@@ -1,5 +1,7 @@
 //! What one image shows of the ground: a rectangle of cells, at one zoom.
 
+use super::channels::Channels;
+
 /// Values and weights of a rectangle of cells. Cells are numbered as in [`super::tiles`].
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Patch {
@@ -11,17 +13,28 @@ pub struct Patch {
     pub width: usize,
     /// Number of rows.
     pub height: usize,
-    /// Grey values, row by row from the south; of any value where the weight is 0.
+    /// Row by row from the south, grey values, or red, green and blue of each cell; of any value where the weight is 0.
     pub values: Vec<u8>,
-    /// Weights, likewise; 0 where the image does not show the cell.
+    /// Weights, one for each cell, likewise; 0 where the image does not show the cell.
     pub weights: Vec<u8>,
 }
 
 impl Patch {
-    /// Whether there are as many values and weights as cells.
+    /// Whether there are as many weights as cells, and one or three values for each.
     pub fn is_sound(&self) -> bool {
         let cells = self.width.checked_mul(self.height);
-        cells == Some(self.values.len()) && cells == Some(self.weights.len())
+        let values = Some(self.values.len());
+        let in_colour = cells.and_then(|cells| cells.checked_mul(Channels::Colour.count()));
+        cells == Some(self.weights.len()) && (cells == values || in_colour == values)
+    }
+
+    /// What is known of each cell.
+    pub fn channels(&self) -> Channels {
+        if self.values.len() == self.weights.len() {
+            Channels::Grey
+        } else {
+            Channels::Colour
+        }
     }
 
     /// The same at the next zoom. A cell gets the weighted mean of the (up to) four that it covers, and a quarter of
@@ -29,33 +42,46 @@ impl Patch {
     /// coarse tiles can hold as many images as fine ones.
     #[must_use]
     pub fn halved(&self) -> Self {
+        match self.channels() {
+            Channels::Grey => self.halved_of::<1>(),
+            Channels::Colour => self.halved_of::<3>(),
+        }
+    }
+
+    /// [`Self::halved`], of so many values a cell.
+    fn halved_of<const COUNT: usize>(&self) -> Self {
         let (column, row) = (self.column.div_euclid(2), self.row.div_euclid(2));
         let shift = [self.column - 2 * column, self.row - 2 * row].map(|odd| odd as usize);
         let (width, height) = (
             (self.width + shift[0]).div_ceil(2),
             (self.height + shift[1]).div_ceil(2),
         );
-        let mut sums = vec![(0_u32, 0_u32); width * height];
+        let (values, _) = self.values.as_chunks::<COUNT>();
+        let mut sums = vec![([0_u32; COUNT], 0_u32); width * height];
         for fine in 0..self.height {
             let cells = fine * self.width..(fine + 1) * self.width;
             let coarse = &mut sums[(fine + shift[1]) / 2 * width..][..width];
-            let looks = self.values[cells.clone()].iter().zip(&self.weights[cells]);
-            for (at, (value, weight)) in looks.enumerate() {
-                let (value, weight) = (u32::from(*value), u32::from(*weight));
-                let sum = &mut coarse[(at + shift[0]) / 2];
-                *sum = (sum.0 + value * weight, sum.1 + weight);
+            let looks = values[cells.clone()].iter().zip(&self.weights[cells]);
+            for (at, (look, weight)) in looks.enumerate() {
+                let weight = u32::from(*weight);
+                let (sums, weights) = &mut coarse[(at + shift[0]) / 2];
+                for (sum, value) in sums.iter_mut().zip(look) {
+                    *sum += u32::from(*value) * weight;
+                }
+                *weights += weight;
             }
         }
-        let mean = |(sum, weight): &(u32, u32)| {
-            ((sum + weight / 2).checked_div(*weight)).unwrap_or(0) as u8
+        let mean = |(sums, weight): &([u32; COUNT], u32)| {
+            sums.map(|sum| ((sum + weight / 2).checked_div(*weight)).unwrap_or(0) as u8)
         };
-        let quarter = |(_, weight): &(u32, u32)| weight.div_ceil(4) as u8;
+        let quarter = |(_, weight): &([u32; COUNT], u32)| weight.div_ceil(4) as u8;
+        let means: Vec<[u8; COUNT]> = sums.iter().map(mean).collect();
         Self {
             column,
             row,
             width,
             height,
-            values: sums.iter().map(mean).collect(),
+            values: means.into_flattened(),
             weights: sums.iter().map(quarter).collect(),
         }
     }
@@ -107,6 +133,29 @@ mod tests {
         }
     }
 
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(32))]
+        #[test]
+        fn each_colour_is_halved_as_grey_is(
+            red in patch(-3, 2, 5, 4), green in patch(-3, 2, 5, 4), blue in patch(-3, 2, 5, 4)
+        ) {
+            let weights = &red.weights;
+            let of = |channel: &Patch| Patch { weights: weights.clone(), ..channel.clone() };
+            let channels = [&red, &green, &blue].map(of);
+            let cells = 0..weights.len();
+            let values = cells.flat_map(|cell| channels.each_ref().map(|one| one.values[cell]));
+            let colour = Patch { values: values.collect(), ..channels[0].clone() };
+            let half = colour.halved();
+            prop_assert!(half.is_sound());
+            prop_assert_eq!(half.channels(), Channels::Colour);
+            for (at, channel) in channels.iter().enumerate() {
+                let alone = channel.halved();
+                let values: Vec<u8> = half.values.iter().skip(at).step_by(3).copied().collect();
+                prop_assert_eq!((values, &half.weights), (alone.values, &alone.weights));
+            }
+        }
+    }
+
     #[test]
     fn a_patch_has_as_many_bytes_as_cells() {
         let patch = |width: usize, bytes: usize| Patch {
@@ -117,8 +166,8 @@ mod tests {
             values: vec![0; bytes],
             weights: vec![0; 4],
         };
-        assert!(patch(2, 4).is_sound());
-        assert!(!patch(2, 3).is_sound() && !patch(3, 4).is_sound());
+        assert!(patch(2, 4).is_sound() && patch(2, 12).is_sound());
+        assert!(!patch(2, 3).is_sound() && !patch(2, 8).is_sound() && !patch(3, 4).is_sound());
         assert!(!patch(usize::MAX, 4).is_sound());
     }
 }

@@ -5,11 +5,11 @@ use std::sync::Arc;
 
 use evermap_algorithms::geometry::pose::Pose;
 use evermap_algorithms::ground::floor::Floor;
-use evermap_algorithms::ground::projection::{GrayView, GroundLut, GroundParams};
+use evermap_algorithms::ground::projection::{GrayView, GroundLut, GroundParams, ImageView};
 use evermap_contract::{Emit, Fault, Operator, Pixels, Port, Reach, Reason, Sides, Work};
 use evermap_schemas::Bytes;
 use evermap_schemas::layers::{BodyMask, GroundPatch, PosedImage, VehiclePose};
-use evermap_vision::{Grey, decode_grey, image_size};
+use evermap_vision::{Grey, ImageError, Rgb, decode_colour, decode_grey, holds_colour, image_size};
 use rayon::prelude::*;
 
 use crate::inputs::bodies::bodies;
@@ -23,7 +23,7 @@ pub struct GroundPatches;
 
 impl Operator for GroundPatches {
     const NAME: &'static str = "ground_patches";
-    const VERSION: u32 = 3;
+    const VERSION: u32 = 4;
     const PAGE: &'static str = include_str!("ground_patches.md");
     type Params = OfVehicle<GroundParams>;
     type Output = GroundPatch;
@@ -52,6 +52,36 @@ struct Projector {
     tables: Calibrated<GroundLut>,
     /// By session.
     floors: BTreeMap<String, Floor>,
+}
+
+/// Where images are decoded, one after the other.
+#[derive(Default)]
+struct Room {
+    grey: Grey,
+    rgb: Rgb,
+}
+
+impl Room {
+    /// An image in colour where it holds any; `None` where it has more or fewer values than its size says.
+    fn decoded(&mut self, bytes: &[u8]) -> Result<Option<ImageView<'_>>, ImageError> {
+        if holds_colour(bytes)? {
+            decode_colour(bytes, &mut self.rgb)?;
+            let Rgb {
+                width,
+                height,
+                data,
+            } = &self.rgb;
+            return Ok(ImageView::of_colours(*width, *height, data));
+        }
+        decode_grey(bytes, &mut self.grey)?;
+        let Grey {
+            width,
+            height,
+            data,
+        } = &self.grey;
+        let view = GrayView::new(*width, *height, data);
+        Ok(view.as_ref().map(ImageView::from))
+    }
 }
 
 /// How far beyond the reach of a camera heights are asked for, metres: it may sit so far from its vehicle's origin.
@@ -83,9 +113,9 @@ impl Projector {
             .collect();
         let patches = planned
             .into_par_iter()
-            .map_init(Grey::default, |grey, (plan, image)| {
+            .map_init(Room::default, |room, (plan, image)| {
                 let (bytes, table) = plan?;
-                Ok([self.patch(image, bytes, &table, grey)?])
+                Ok([self.patch(image, bytes, &table, room)?])
             });
         emit.made(patches.collect())
     }
@@ -119,16 +149,17 @@ impl Projector {
         image: PosedImage,
         bytes: &[u8],
         table: &GroundLut,
-        grey: &mut Grey,
+        room: &mut Room,
     ) -> Result<GroundPatch, Reason> {
         let pose = Pose::from_array(image.map_from_vehicle.to_array())
             .map_err(|_| "pose is not a rigid transform")?;
         let undecoded = || undecoded(&image.camera, &image.image.format);
-        decode_grey(bytes, grey).map_err(|error| left_out(&error, undecoded()))?;
-        let view = GrayView::new(grey.width, grey.height, &grey.data).ok_or_else(undecoded)?;
+        let decoded = room.decoded(bytes);
+        let decoded = decoded.map_err(|error| left_out(&error, undecoded()))?;
+        let view = decoded.ok_or_else(undecoded)?;
         let cell_m = self.params.options.cell_m;
         let patch = table
-            .patch(&view, &pose, self.floors.get(&image.session), cell_m)
+            .patch(view, &pose, self.floors.get(&image.session), cell_m)
             .ok_or("image shows no ground")?;
         let place = |cell: i64| i32::try_from(cell).map_err(|_| "pose is out of the map");
         let size = |cells: usize| u32::try_from(cells).map_err(|_| "pose is out of the map");

@@ -2,11 +2,13 @@
 
 use std::collections::BTreeMap;
 
+use evermap_algorithms::ground::channels::Channels;
 use evermap_algorithms::ground::patch::Patch;
 use evermap_algorithms::ground::tiles::{TILE_CELLS, TileKey, TileOverflow, TileSum};
 use evermap_contract::{Emit, Fault, Fold, Operator, Port, Sides, Work};
 use evermap_schemas::layers::{GroundPatch, OverheadTile, Sources};
 use evermap_schemas::{Bytes, Wkb};
+use png::ColorType;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -33,7 +35,7 @@ impl Default for OverheadTilesParams {
 
 impl Operator for OverheadTiles {
     const NAME: &'static str = "overhead_tiles";
-    const VERSION: u32 = 1;
+    const VERSION: u32 = 2;
     const PAGE: &'static str = include_str!("overhead_tiles.md");
     type Params = OverheadTilesParams;
     type Output = OverheadTile;
@@ -191,18 +193,22 @@ fn patch(row: &mut GroundPatch) -> Option<Patch> {
     sound.then_some(patch)
 }
 
-/// Grey with alpha, the northernmost row first.
+/// Grey or in colour, with alpha, the northernmost row first.
 fn picture(sums: &TileSum) -> Result<Vec<u8>, Fault> {
     let tile = sums.finish();
-    let (grey, coverage) = (
-        tile.grey.chunks(TILE_CELLS),
-        tile.coverage.chunks(TILE_CELLS),
-    );
-    let pixels: Vec<u8> = grey
-        .zip(coverage)
-        .rev()
-        .flat_map(|(grey, coverage)| grey.iter().zip(coverage))
-        .flat_map(|(grey, coverage)| [*grey, if *coverage > 0 { 255 } else { 0 }])
-        .collect();
-    encoded(&pixels)
+    let count = tile.channels.count();
+    let values = tile.values.chunks(count * TILE_CELLS);
+    let rows = values.zip(tile.coverage.chunks(TILE_CELLS)).rev();
+    let mut pixels = Vec::with_capacity((count + 1) * tile.coverage.len());
+    for (values, coverage) in rows {
+        for (shown, coverage) in values.chunks(count).zip(coverage) {
+            pixels.extend_from_slice(shown);
+            pixels.push(if *coverage > 0 { 255 } else { 0 });
+        }
+    }
+    let channels = match tile.channels {
+        Channels::Grey => ColorType::GrayscaleAlpha,
+        Channels::Colour => ColorType::Rgba,
+    };
+    encoded(channels, &pixels)
 }

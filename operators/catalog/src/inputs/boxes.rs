@@ -11,10 +11,11 @@ use evermap_algorithms::ground::boxes::teaching::{Example, Said};
 use evermap_contract::{Fault, Reason};
 use evermap_schemas::layers::{Lane, OverheadGradients, OverheadTile, PlacedLabel};
 use evermap_schemas::{Bytes, Pose};
+use png::ColorType;
 use rayon::prelude::*;
 
 use crate::inputs::people::PERSON;
-use crate::inputs::tiles::{decoded, encoded};
+use crate::inputs::tiles::{decoded, encoded, gradient_cells};
 
 /// Boxes are described by cells of the image: a side of fewer cells than this is too short.
 const LEAST_CELLS: f64 = 4.0;
@@ -75,7 +76,7 @@ pub fn tile_gradients(
     let mut known: BTreeMap<[i64; 2], OverheadGradients> = known.collect();
     let is_known = |tile: [i64; 2], content: &str| {
         let row = known.get(&tile);
-        row.is_some_and(|row| row.content == content && decoded(&row.png.0).is_some())
+        row.is_some_and(|row| row.content == content && gradient_cells(&row.png.0).is_some())
     };
     let mut anew = 0;
     let mut rows = Vec::new();
@@ -91,7 +92,7 @@ pub fn tile_gradients(
             tile_y: tile.tile[1] as i32,
             cell_m: picture.cell_m(),
             content: tile.content,
-            png: Bytes(encoded(cells.as_flattened())?),
+            png: Bytes(encoded(ColorType::GrayscaleAlpha, cells.as_flattened())?),
         });
     }
     Ok((rows, anew))
@@ -104,7 +105,7 @@ pub fn mosaic(tiles: Vec<OverheadGradients>, skip: &mut impl FnMut(Reason, u64))
     };
     let mut mosaic = Mosaic::new(cell_m);
     let read = tiles.into_par_iter().map(|tile| {
-        let cells = decoded(&tile.png.0).filter(|_| tile.cell_m == cell_m);
+        let cells = gradient_cells(&tile.png.0).filter(|_| tile.cell_m == cell_m);
         ([tile.tile_x, tile.tile_y].map(i64::from), cells)
     });
     for (at, cells) in read.collect::<Vec<_>>() {

@@ -45,6 +45,56 @@ fn tile([tile_x, tile_y]: [i32; 2], grey: &[u8]) -> OverheadTile {
     }
 }
 
+/// The same tile recorded in colour.
+fn in_colour(tile: &OverheadTile, colours: &[[u8; 3]]) -> OverheadTile {
+    let mut png = Vec::new();
+    let mut encoder = png::Encoder::new(&mut png, SIDE as u32, SIDE as u32);
+    encoder.set_color(png::ColorType::Rgba);
+    encoder.set_depth(png::BitDepth::Eight);
+    let mut writer = encoder.write_header().unwrap();
+    let pixels = colours
+        .iter()
+        .flat_map(|[red, green, blue]| [*red, *green, *blue, 255]);
+    writer
+        .write_image_data(&pixels.collect::<Vec<_>>())
+        .unwrap();
+    writer.finish().unwrap();
+    OverheadTile {
+        png: Bytes(png),
+        ..tile.clone()
+    }
+}
+
+#[test]
+fn a_tile_in_colour_is_described_anew_where_it_shows_a_colour() {
+    let at = [1, 1];
+    let (before, _) = made(&floor(), &[]);
+    let with = |paint: &dyn Fn(usize, u8) -> [u8; 3]| {
+        let mut floor = floor();
+        let is_it = |tile: &&mut OverheadTile| [tile.tile_x, tile.tile_y] == at;
+        let tile = floor.iter_mut().find(is_it).unwrap();
+        let colours = grain(at).into_iter().enumerate();
+        let colours: Vec<_> = colours.map(|(cell, grey)| paint(cell, grey)).collect();
+        *tile = in_colour(tile, &colours);
+        floor
+    };
+    // Three equal values are grey.
+    assert_eq!(
+        made(&with(&|_, grey| [grey; 3]), &before),
+        (before.clone(), 0)
+    );
+    // A yellow spot in the middle of the tile, as bright as the floor.
+    let spot = |cell: usize, grey: u8| match [cell % SIDE, cell / SIDE] {
+        [126..130, 126..130] => [grey + 16, grey + 5, 5],
+        _ => [grey; 3],
+    };
+    let (rows, anew) = made(&with(&spot), &before);
+    assert_eq!((rows.len(), anew), (6, 1));
+    let changed = rows.iter().zip(&before).filter(|(now, then)| now != then);
+    let changed: Vec<_> = changed.map(|(now, _)| [now.tile_x, now.tile_y]).collect();
+    assert_eq!(changed, [at]);
+}
+
 /// The floor of a first drive, three tiles wide and two high.
 fn floor() -> Vec<OverheadTile> {
     let at = (-1..2).flat_map(|x| (0..2).map(move |y| [x, y]));

@@ -44,13 +44,148 @@ fn drive() -> Vec<Pose> {
         .collect()
 }
 
-fn floor_patches() -> Vec<GroundPatch> {
+fn images() -> Vec<Image> {
     let rig = rig();
     let looks = drive().into_iter().zip(0_i64..);
-    let images = looks
-        .flat_map(|(pose, stamp)| rig.iter().map(move |mounted| mounted.image(stamp, &pose)))
-        .collect();
-    let (patches, losses) = patches(&rig, images);
+    let images =
+        looks.flat_map(|(pose, stamp)| rig.iter().map(move |mounted| mounted.image(stamp, &pose)));
+    images.collect()
+}
+
+/// The same image with this colour, or this grey, in the place of each grey value.
+fn repainted<const COUNT: usize>(image: &Image, paint: impl Fn(u8) -> [u8; COUNT]) -> Image {
+    let pgm = &image.image.as_ref().unwrap().0;
+    let pixels = &pgm[pgm.len() - 400 * 300..];
+    let kind = if COUNT == 3 { "P6" } else { "P5" };
+    let mut bytes = format!("{kind}\n400 300\n255\n").into_bytes();
+    bytes.extend(pixels.iter().flat_map(|grey| paint(*grey)));
+    Image {
+        image: Some(Bytes(bytes)),
+        ..image.clone()
+    }
+}
+
+/// The floor's bright squares are red, its dark ones blue.
+fn painted(grey: u8) -> [u8; 3] {
+    [grey, 90, 255 - grey]
+}
+
+fn luma(colour: &[u8]) -> u8 {
+    let sum: u32 = [299, 587, 114]
+        .iter()
+        .zip(colour)
+        .map(|(part, value)| part * u32::from(*value))
+        .sum();
+    ((sum + 500) / 1000) as u8
+}
+
+/// The channels of a tile's picture, and its pixels.
+fn pixels(tile: &OverheadTile) -> (png::ColorType, Vec<u8>) {
+    let decoder = png::Decoder::new(std::io::Cursor::new(&tile.png.0));
+    let mut reader = decoder.read_info().unwrap();
+    let mut pixels = vec![0; reader.output_buffer_size().unwrap()];
+    let info = reader.next_frame(&mut pixels).unwrap();
+    assert_eq!((info.width, info.height), (256, 256));
+    (info.color_type, pixels)
+}
+
+fn tiles_of(patches: &[GroundPatch]) -> Vec<OverheadTile> {
+    let inputs = [inputs_of("patches", patches.to_vec()).unwrap()];
+    yields("overhead_tiles", json!({ "zooms": 2 }), inputs).0
+}
+
+#[test]
+fn the_mosaic_of_images_in_colour_is_the_floor_in_colour() {
+    let of = |images: Vec<Image>| {
+        let (patches, losses) = patches(&rig(), images);
+        assert!(losses.is_empty(), "{losses:?}");
+        patches
+    };
+    let colour = of(images().iter().map(|it| repainted(it, painted)).collect());
+    let grey = |it: &Image| repainted(it, |grey| [luma(&painted(grey))]);
+    let grey = of(images().iter().map(grey).collect());
+    for (colour, grey) in colour.iter().zip(&grey) {
+        assert_eq!(colour.weights, grey.weights);
+        assert_eq!(colour.values.0.len(), 3 * grey.values.0.len());
+    }
+    let [colour, grey] = [colour, grey].map(|patches| tiles_of(&patches));
+    assert_eq!(colour.len(), grey.len());
+    let (mut seen, mut red, mut blue) = (0, 0, 0);
+    for (colour, grey) in colour.iter().zip(&grey) {
+        let ((in_colour, colours), (in_grey, greys)) = (pixels(colour), pixels(grey));
+        assert_eq!(in_colour, png::ColorType::Rgba);
+        assert_eq!(in_grey, png::ColorType::GrayscaleAlpha);
+        assert_eq!(
+            (colour.covered, colour.mean_weight, &colour.sources),
+            (grey.covered, grey.mean_weight, &grey.sources)
+        );
+        for (colour, grey) in colours.chunks(4).zip(greys.chunks(2)) {
+            assert_eq!(colour[3], grey[1]);
+            assert!(luma(colour).abs_diff(grey[0]) <= 3, "{colour:?} {grey:?}");
+            let is_seen = colour[3] > 0;
+            // Red and blue are as far apart from each other as the floor is from the middle.
+            assert!(
+                !is_seen || colour[0].abs_diff(255 - colour[2]) <= 3,
+                "{colour:?}"
+            );
+            seen += usize::from(is_seen);
+            red += usize::from(is_seen && colour[0] > 170 && colour[2] < 85);
+            blue += usize::from(is_seen && colour[0] < 85 && colour[2] > 170);
+        }
+    }
+    assert!(
+        seen > 8_000 && 5 * red > seen && 5 * blue > seen,
+        "{seen} {red} {blue}"
+    );
+}
+
+#[test]
+fn images_that_are_grey_make_the_same_bytes_however_they_were_recorded() {
+    let recorded = |in_colour: bool| {
+        let recorded = |it: &Image| match in_colour {
+            true => repainted(it, |grey| [grey; 3]),
+            false => repainted(it, |grey| [grey]),
+        };
+        patches(&rig(), images().iter().map(recorded).collect()).0
+    };
+    let [grey, in_colour] = [false, true].map(recorded);
+    assert_eq!(grey, floor_patches());
+    assert_eq!(in_colour, grey);
+}
+
+/// Of two drives over one floor, one by grey cameras: the colours are halfway to grey.
+#[test]
+fn a_grey_drive_fades_the_colours_of_another() {
+    let colour = images()
+        .iter()
+        .map(|it| repainted(it, painted))
+        .collect::<Vec<_>>();
+    let (mut colour, _) = patches(&rig(), colour);
+    for patch in &mut colour {
+        patch.session = "b".into();
+    }
+    let alone = tiles_of(&colour);
+    let mut both = colour;
+    both.extend(floor_patches());
+    let both = tiles_of(&both);
+    assert_eq!(both.len(), alone.len());
+    for (both, alone) in both.iter().zip(&alone) {
+        assert_eq!(both.covered, alone.covered);
+        let ((channels, both), (_, alone)) = (pixels(both), pixels(alone));
+        assert_eq!(channels, png::ColorType::Rgba);
+        for (both, alone) in both.chunks(4).zip(alone.chunks(4)) {
+            // Red of the painted floor is the grey of the other one.
+            let expected = [0, 1, 2].map(|at| (u16::from(alone[0]) + u16::from(alone[at])) / 2);
+            let off = both.iter().zip(expected);
+            let off = off.map(|(found, expected)| u16::from(*found).abs_diff(expected));
+            assert!(off.max().unwrap() <= 1, "{both:?} {alone:?}");
+        }
+    }
+}
+
+fn floor_patches() -> Vec<GroundPatch> {
+    let rig = rig();
+    let (patches, losses) = patches(&rig, images());
     assert!(losses.is_empty(), "{losses:?}");
     assert_eq!(patches.len(), 10);
     patches
@@ -58,14 +193,8 @@ fn floor_patches() -> Vec<GroundPatch> {
 
 /// Mean difference from the floor over the cells that a tile shows, and how many those are.
 fn error(tile: &OverheadTile) -> (f64, usize) {
-    let decoder = png::Decoder::new(std::io::Cursor::new(&tile.png.0));
-    let mut reader = decoder.read_info().unwrap();
-    let mut pixels = vec![0; reader.output_buffer_size().unwrap()];
-    let info = reader.next_frame(&mut pixels).unwrap();
-    assert_eq!(
-        (info.width, info.height, pixels.len()),
-        (256, 256, 256 * 256 * 2)
-    );
+    let (channels, pixels) = pixels(tile);
+    assert_eq!(channels, png::ColorType::GrayscaleAlpha);
     let west = f64::from(tile.tile_x) * tile.size_m;
     let north = f64::from(tile.tile_y + 1) * tile.size_m;
     let shown = pixels
@@ -184,7 +313,13 @@ fn each_lens_alone_sees_the_floor_where_it_is() {
 #[test]
 fn tiles_are_the_same_bytes_however_the_work_is_cut() {
     let registry = evermap_catalog::registry();
-    let inputs = [inputs_of("patches", floor_patches()).unwrap()].into();
+    // One drive in colour among grey ones.
+    let mut patches = floor_patches();
+    for patch in &mut patches[..4] {
+        patch.session = "b".into();
+        patch.values.0 = patch.values.0.iter().flat_map(|it| painted(*it)).collect();
+    }
+    let inputs = [inputs_of("patches", patches).unwrap()].into();
     let tiles = |batch_rows, partitions, reverse| {
         let split = Split {
             batch_rows,
@@ -319,15 +454,17 @@ fn a_halved_image_gets_its_calibration_halved() {
 #[test]
 fn patches_that_contradict_themselves_are_counted_and_cells_are_not_mixed() {
     let mut patches = floor_patches();
-    patches.truncate(3);
+    patches.truncate(4);
     patches[0].width += 1;
     patches[1].weights.0.pop();
+    let values = patches[2].values.0.clone();
+    patches[2].values.0.extend(values);
     let inputs = [inputs_of("patches", patches.clone()).unwrap()];
     let (tiles, losses) = yields::<OverheadTile>("overhead_tiles", json!({ "zooms": 1 }), inputs);
     assert!(!tiles.is_empty());
-    assert_eq!(losses.total(), 2);
+    assert_eq!(losses.total(), 3);
 
-    let mut mixed = vec![patches[2].clone(), patches[2].clone()];
+    let mut mixed = vec![patches[3].clone(), patches[3].clone()];
     mixed[1].cell_m = 0.1;
     let registry = evermap_catalog::registry();
     let inputs = [("patches".to_owned(), batch(mixed).unwrap())].into();

@@ -138,6 +138,7 @@ impl WorldFile {
 mod tests {
     #![allow(clippy::unwrap_used)]
     use super::*;
+    use evermap_algorithms::ground::channels::Pixels;
 
     #[test]
     fn an_exported_mosaic_lies_where_its_world_file_says() {
@@ -147,7 +148,7 @@ mod tests {
             north: 25.6,
             width: 4,
             height: 2,
-            cells: vec![[0, 0]; 8],
+            cells: Pixels::Grey(vec![[0, 0]; 8]),
         };
         let found = WorldFile::parse(&mosaic.world_file(None)).unwrap();
         for (pixel, place) in [([0.0, 0.0], [-12.8, 25.6]), ([4.0, 2.0], [-12.4, 25.4])] {

@@ -34,7 +34,7 @@ pub use changes::Changes;
 pub use map::{NOTHING, draw};
 pub use matrix::matrix;
 pub use outline::{Mark, Outline};
-pub use pixels::{decoded, encoded, png};
+pub use pixels::{decoded, encoded, is_in_colour, png};
 pub use placings::Placings;
 pub use semantic::views;
 pub use slowness::SlowCell;

@@ -73,6 +73,12 @@ pub fn decoded(file: &[u8], colour: ColorType) -> Result<(u32, u32, Vec<u8>), Fa
     Ok((width, height, bytes))
 }
 
+/// Whether a PNG says that its pixels are red, green, blue and alpha; no more of it is looked at.
+pub fn is_in_colour(file: &[u8]) -> bool {
+    // Behind the signature, the chunk's length and name, width, height and the bits of a value.
+    file.get(25) == Some(&(ColorType::Rgba as u8))
+}
+
 /// An image file as the address of itself, for SVG that refers to nothing else.
 pub fn data_url(file: &[u8]) -> String {
     let is_png = file.starts_with(b"\x89PNG");

@@ -1,5 +1,5 @@
 //! Overhead tiles as one Cloud Optimized GeoTIFF that says itself where it is: tiled, with an overview for each halving, grey
-//! with alpha.
+//! or in colour, with alpha.
 //!
 //! ```text
 //!                 on earth                                      in the map's metres
@@ -10,6 +10,7 @@
 
 mod layout;
 
+use evermap_algorithms::ground::channels::{Channels, Pixels};
 use evermap_algorithms::ground::patch::Patch;
 use evermap_schemas::Fault;
 use rayon::prelude::*;
@@ -54,14 +55,23 @@ fn levels(picture: &Mosaic, place: Option<&SiteOnEarth>) -> Result<Vec<Level>, T
 
 /// The cells of a picture. Its rows come from the north, as TIFF's do, so that halving keeps the north-western corner.
 fn cells(picture: &Mosaic) -> Patch {
-    let channel = |of: usize| picture.cells.iter().map(|cell| cell[of]).collect();
+    let (values, weights): (Vec<u8>, Vec<u8>) = match &picture.cells {
+        Pixels::Grey(cells) => cells.iter().map(|[grey, alpha]| (*grey, *alpha)).unzip(),
+        Pixels::Colour(cells) => {
+            let colours = cells.iter().flat_map(|cell| &cell[..3]).copied();
+            (
+                colours.collect(),
+                cells.iter().map(|cell| cell[3]).collect(),
+            )
+        }
+    };
     Patch {
         column: 0,
         row: 0,
         width: picture.width,
         height: picture.height,
-        values: channel(0),
-        weights: channel(1),
+        values,
+        weights,
     }
 }
 
@@ -74,13 +84,19 @@ fn image(mut directory: Directory, level: &Patch) -> Result<Level, TiffError> {
         .collect::<Result<_, _>>()?;
     directory.longs(Tag::ImageWidth, &[u32::try_from(level.width)?]);
     directory.longs(Tag::ImageLength, &[u32::try_from(level.height)?]);
-    directory.shorts(Tag::BitsPerSample, &[8, 8]);
+    let samples = level.channels().count() + 1;
+    directory.shorts(Tag::BitsPerSample, &vec![8; samples]);
     // Deflate, as zlib has it.
     directory.shorts(Tag::Compression, &[8]);
-    // Black is zero.
-    directory.shorts(Tag::PhotometricInterpretation, &[1]);
-    directory.shorts(Tag::SamplesPerPixel, &[2]);
-    // Grey and alpha cell by cell; the grey is not multiplied by alpha.
+    let interpretation = match level.channels() {
+        // Black is zero.
+        Channels::Grey => 1,
+        // Red, green and blue.
+        Channels::Colour => 2,
+    };
+    directory.shorts(Tag::PhotometricInterpretation, &[interpretation]);
+    directory.shorts(Tag::SamplesPerPixel, &[samples as u16]);
+    // Values and alpha cell by cell; the values are not multiplied by alpha.
     directory.shorts(Tag::PlanarConfiguration, &[1]);
     directory.shorts(Tag::ExtraSamples, &[2]);
     directory.longs(Tag::TileWidth, &[BLOCK as u32]);
@@ -88,17 +104,21 @@ fn image(mut directory: Directory, level: &Patch) -> Result<Level, TiffError> {
     Ok(Level { directory, blocks })
 }
 
-/// Grey and alpha of a block; unseen beyond the edge of the picture.
+/// Values and alpha of a block; unseen beyond the edge of the picture.
 fn block(level: &Patch, column: usize, row: usize) -> Vec<u8> {
-    let mut bytes = vec![0; 2 * BLOCK * BLOCK];
+    let count = level.channels().count();
+    let samples = count + 1;
+    let mut bytes = vec![0; samples * BLOCK * BLOCK];
     let (left, top) = (column * BLOCK, row * BLOCK);
     let width = BLOCK.min(level.width - left);
     for line in 0..BLOCK.min(level.height - top) {
         let from = (top + line) * level.width + left;
-        let cells = level.values[from..].iter().zip(&level.weights[from..]);
-        let into = bytes[2 * BLOCK * line..].chunks_exact_mut(2);
-        for (cell, (grey, alpha)) in into.zip(cells).take(width) {
-            cell.copy_from_slice(&[*grey, *alpha]);
+        let values = level.values[count * from..].chunks_exact(count);
+        let cells = values.zip(&level.weights[from..]);
+        let into = bytes[samples * BLOCK * line..].chunks_exact_mut(samples);
+        for (cell, (values, alpha)) in into.zip(cells).take(width) {
+            cell[..count].copy_from_slice(values);
+            cell[count] = *alpha;
         }
     }
     bytes

@@ -15,17 +15,24 @@ use evermap_schemas::{Bytes, LayerRow, Pose, Stamp, Wkb, batch};
 const SIDE: usize = 128;
 const CELL_M: f64 = 0.2;
 
-fn floor(tile_x: i32, tile_y: i32) -> Vec<u8> {
+/// A floor with lines, which are yellow in colour.
+fn floor(tile_x: i32, tile_y: i32, channels: png::ColorType) -> Vec<u8> {
     let mut bytes = Vec::new();
     let mut encoder = png::Encoder::new(&mut bytes, SIDE as u32, SIDE as u32);
-    encoder.set_color(png::ColorType::GrayscaleAlpha);
+    encoder.set_color(channels);
     let mut cells = Vec::new();
     for index in 0..SIDE * SIDE {
         let x = tile_x * SIDE as i32 + (index % SIDE) as i32;
         let y = tile_y * SIDE as i32 + (SIDE - 1 - index / SIDE) as i32;
         let line = x.rem_euclid(13) == 0 && (30..56).contains(&y.rem_euclid(90));
         let grain = (x.wrapping_mul(7919) ^ y.wrapping_mul(104_729)).rem_euclid(17) as u8;
-        cells.extend([if line { 190 } else { 90 + grain }, 255]);
+        match (channels, line) {
+            (png::ColorType::Rgba, true) => cells.extend([190, 160, 20]),
+            (png::ColorType::Rgba, false) => cells.extend([90 + grain; 3]),
+            (_, true) => cells.push(190),
+            (_, false) => cells.push(90 + grain),
+        }
+        cells.push(255);
     }
     let mut writer = encoder.write_header().unwrap();
     writer.write_image_data(&cells).unwrap();
@@ -33,7 +40,12 @@ fn floor(tile_x: i32, tile_y: i32) -> Vec<u8> {
     bytes
 }
 
-fn tiles() -> Vec<OverheadTile> {
+/// Four tiles, with the last one in these channels.
+fn tiles(last: png::ColorType) -> Vec<OverheadTile> {
+    let channels = |at: (i32, i32)| match at {
+        (1, 1) => last,
+        _ => png::ColorType::GrayscaleAlpha,
+    };
     let tile = |(x, y): (i32, i32)| OverheadTile {
         site: "lot".into(),
         zoom: 0,
@@ -43,7 +55,7 @@ fn tiles() -> Vec<OverheadTile> {
         size_m: CELL_M * SIDE as f64,
         covered: (SIDE * SIDE) as u32,
         mean_weight: 1.0,
-        png: Bytes(floor(x, y)),
+        png: Bytes(floor(x, y, channels((x, y)))),
         sources: vec![],
         geometry: Wkb::polygon(&[[0.0, 0.0], [1.0, 0.0], [1.0, 1.0]]),
     };
@@ -252,13 +264,40 @@ pub async fn metric_map(folder: &Path) {
     version.publish(&store).await.unwrap();
 }
 
+/// Writes a map of a floor of which one tile of four is in colour.
+pub async fn map_in_colour(folder: &Path) {
+    let store = Store::open(folder.to_str().unwrap(), true).unwrap();
+    let tiles = tiles(png::ColorType::Rgba);
+    let version = Version {
+        version: 1,
+        parent: 0,
+        program: String::new(),
+        previous: Default::default(),
+        plan: "car_park".into(),
+        evermap: "0.1.0".into(),
+        published: "2026-06-01T08:00:00+00:00".into(),
+        sessions: vec![session("initial")],
+        layers: BTreeMap::from([(
+            "overhead_tiles".to_owned(),
+            stored(folder, Some("overhead_tiles"), None, tiles),
+        )]),
+        losses: BTreeMap::new(),
+    };
+    version.publish(&store).await.unwrap();
+}
+
 /// Writes a map of two versions: the second has one more session, and something was lost on its way.
 pub async fn map(folder: &Path) {
     let store = Store::open(folder.to_str().unwrap(), true).unwrap();
     let mut layers = BTreeMap::from([
         (
             "overhead_tiles".to_owned(),
-            stored(folder, Some("overhead_tiles"), None, tiles()),
+            stored(
+                folder,
+                Some("overhead_tiles"),
+                None,
+                tiles(png::ColorType::GrayscaleAlpha),
+            ),
         ),
         (
             "lanes".to_owned(),

@@ -2,6 +2,8 @@
 
 use rayon::prelude::*;
 
+use crate::ground::channels::Channels;
+
 /// Side of the squares over which contrast is levelled (m): more than a space, so that lines stay stronger than the floor
 /// between them, and less than a car park, of which a part is in the dark.
 const LEVEL_M: f64 = 8.0;
@@ -33,7 +35,7 @@ pub(super) fn is_seen([strength, _]: &GradientCell) -> bool {
     *strength != UNSEEN
 }
 
-/// A grey image of the ground, seen from above.
+/// An image of the ground, seen from above.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Overhead {
     /// Cells across.
@@ -42,50 +44,51 @@ pub(super) struct Overhead {
     pub(super) rows: usize,
     /// Side of a cell (m).
     pub(super) cell_m: f64,
-    /// Grey values, row by row from the north.
-    pub(super) grey: Vec<u8>,
+    /// Grey values, or those of red, of green and of blue, each row by row from the north.
+    pub(super) channels: Vec<Vec<u8>>,
     /// Whether anything was seen there.
     pub(super) covered: Vec<bool>,
 }
 
 impl Overhead {
+    /// Of so many columns and rows, of which nothing was seen.
+    pub(super) fn unseen(channels: Channels, [columns, rows]: [usize; 2], cell_m: f64) -> Self {
+        Self {
+            columns,
+            rows,
+            cell_m,
+            channels: vec![vec![0; columns * rows]; channels.count()],
+            covered: vec![false; columns * rows],
+        }
+    }
+
+    /// The same in grey where no cell has a colour.
+    pub(super) fn without_equal_channels(mut self) -> Self {
+        if self.channels.windows(2).all(|pair| pair[0] == pair[1]) {
+            self.channels.truncate(1);
+        }
+        self
+    }
+
     /// How many cells to each side of one its gradient depends on.
     pub(super) fn margin(cell_m: f64) -> usize {
         level_radius(cell_m) + smooth_radius(cell_m) + 1
     }
 
     /// Gradients of all cells, of equal strength wherever there is structure: those of cells with less than
-    /// [`Self::margin`] around them are of what the image shows.
+    /// [`Self::margin`] around them are of what the image shows. In colour each is that of the channel in which it is strongest,
+    /// as Dalal & Triggs take it.
     pub(super) fn gradients(&self) -> Vec<GradientCell> {
         let (columns, rows) = (self.columns, self.rows);
         let at = |column: usize, row: usize| row * columns + column;
-        let smooth = smoothed(self);
-        let raw: Vec<[f32; 2]> = (0..rows)
-            .into_par_iter()
-            .flat_map_iter(|row| {
-                let smooth = &smooth;
-                (0..columns).map(move |column| {
-                    let inner = column > 0 && row > 0 && column + 1 < columns && row + 1 < rows;
-                    let around = || {
-                        let (columns, rows) = (column - 1..=column + 1, row - 1..=row + 1);
-                        rows.flat_map(move |row| columns.clone().map(move |column| at(column, row)))
-                    };
-                    if !inner || !around().all(|cell| self.covered[cell]) {
-                        return [0.0; 2];
-                    }
-                    let grey = |column: usize, row: usize| smooth[at(column, row)];
-                    [
-                        0.5 * (grey(column + 1, row) - grey(column - 1, row)),
-                        0.5 * (grey(column, row - 1) - grey(column, row + 1)),
-                    ]
-                })
-            })
-            .collect();
+        let counts = self.seen();
+        let mut raw = vec![[0.0; 2]; columns * rows];
+        for channel in &self.channels {
+            self.strengthen(&mut raw, &self.smoothed(channel, &counts));
+        }
         let strength: Vec<f32> = raw.iter().map(|[x, y]| x.hypot(*y)).collect();
         let radius = level_radius(self.cell_m);
         let sums = Sums::new(&strength, columns, rows);
-        let seen = self.covered.iter().map(|seen| f32::from(u8::from(*seen)));
-        let counts = Sums::new(&seen.collect::<Vec<f32>>(), columns, rows);
         let cells = (0..rows).into_par_iter().flat_map_iter(|row| {
             let (raw, strength, sums, counts) = (&raw, &strength, &sums, &counts);
             (0..columns).map(move |column| {
@@ -102,6 +105,59 @@ impl Overhead {
         });
         cells.collect()
     }
+
+    /// How many cells were seen.
+    fn seen(&self) -> Sums {
+        let seen = self.covered.iter().map(|seen| f32::from(u8::from(*seen)));
+        Sums::new(&seen.collect::<Vec<f32>>(), self.columns, self.rows)
+    }
+
+    /// The mean of a channel about each cell, of what was seen.
+    fn smoothed(&self, channel: &[u8], counts: &Sums) -> Vec<f32> {
+        let values = channel.iter().zip(&self.covered);
+        let values = values.map(|(value, seen)| f32::from(*value) * f32::from(u8::from(*seen)));
+        let sums = Sums::new(&values.collect::<Vec<f32>>(), self.columns, self.rows);
+        let radius = smooth_radius(self.cell_m);
+        let mean = |cell: usize| {
+            let (column, row) = (cell % self.columns, cell / self.columns);
+            let [sum, seen] = [&sums, counts].map(|sums| sums.around(column, row, radius));
+            (sum / seen.max(1.0)) as f32
+        };
+        (0..channel.len()).map(mean).collect()
+    }
+
+    /// Puts the gradients of a channel in the place of weaker ones. A cell on the border, or beside one that was not seen, has
+    /// none.
+    fn strengthen(&self, strongest: &mut [[f32; 2]], smooth: &[f32]) {
+        let (columns, rows) = (self.columns, self.rows);
+        let at = |column: usize, row: usize| row * columns + column;
+        let lines = strongest.par_chunks_mut(columns.max(1)).enumerate();
+        lines.for_each(|(row, line)| {
+            for (column, known) in line.iter_mut().enumerate() {
+                let inner = column > 0 && row > 0 && column + 1 < columns && row + 1 < rows;
+                let around = || {
+                    let (columns, rows) = (column - 1..=column + 1, row - 1..=row + 1);
+                    rows.flat_map(move |row| columns.clone().map(move |column| at(column, row)))
+                };
+                if !inner || !around().all(|cell| self.covered[cell]) {
+                    continue;
+                }
+                let value = |column: usize, row: usize| smooth[at(column, row)];
+                let gradient = [
+                    0.5 * (value(column + 1, row) - value(column - 1, row)),
+                    0.5 * (value(column, row - 1) - value(column, row + 1)),
+                ];
+                if square(gradient) > square(*known) {
+                    *known = gradient;
+                }
+            }
+        });
+    }
+}
+
+/// The square of a length.
+fn square([x, y]: [f32; 2]) -> f32 {
+    x * x + y * y
 }
 
 /// Cells from one to the border of the square over which its contrast is levelled.
@@ -226,26 +282,6 @@ fn strength(cell: &GradientCell) -> f32 {
 fn half_turns(along: f32, left: f32) -> f32 {
     let turns = left.atan2(along) / std::f32::consts::PI;
     turns - turns.floor()
-}
-
-/// The mean about each cell of what was seen.
-fn smoothed(image: &Overhead) -> Vec<f32> {
-    let seen = image.covered.iter().map(|seen| f32::from(u8::from(*seen)));
-    let seen: Vec<f32> = seen.collect();
-    let grey = image
-        .grey
-        .iter()
-        .zip(&seen)
-        .map(|(grey, seen)| f32::from(*grey) * seen);
-    let grey: Vec<f32> = grey.collect();
-    let sums = [&grey, &seen].map(|values| Sums::new(values, image.columns, image.rows));
-    let radius = smooth_radius(image.cell_m);
-    let mean = |cell: usize| {
-        let [grey, seen] =
-            [0, 1].map(|of| sums[of].around(cell % image.columns, cell / image.columns, radius));
-        (grey / seen.max(1.0)) as f32
-    };
-    (0..grey.len()).map(mean).collect()
 }
 
 /// Sums over rectangles.

@@ -11,10 +11,8 @@ use rayon::prelude::*;
 
 use super::mosaic::Mosaic;
 use super::overhead::{GradientCell, Overhead};
+use crate::ground::channels::{Channels, Pixels};
 use crate::ground::tiles::TILE_CELLS;
-
-/// A pixel: grey, and alpha, which is 0 where nothing was seen.
-pub type Pixel = [u8; 2];
 
 /// Counts the ways in which gradients were made so far: those that were made another way are made anew.
 const WAY: u32 = 1;
@@ -24,8 +22,8 @@ const WAY: u32 = 1;
 pub struct Picture {
     /// Side of a cell (m).
     cell_m: f64,
-    /// By column (east) and row (north), as in [`crate::ground::tiles::TileKey`]: pixels, the northernmost row first.
-    tiles: BTreeMap<[i64; 2], Vec<Pixel>>,
+    /// By column (east) and row (north), as in [`crate::ground::tiles::TileKey`].
+    tiles: BTreeMap<[i64; 2], Pixels>,
 }
 
 /// What a tile shows.
@@ -53,9 +51,10 @@ impl Picture {
         self.cell_m
     }
 
-    /// Adds a tile; false, and nothing is added, where there are more or fewer pixels than a tile has.
-    pub fn add(&mut self, tile: [i64; 2], pixels: Vec<Pixel>) -> bool {
-        let is_whole = pixels.len() == TILE_CELLS * TILE_CELLS;
+    /// Adds a tile; false, and nothing is added, where there are more or fewer pixels than a tile has. Grey tiles may lie beside
+    /// others in colour: grey is three equal values.
+    pub fn add(&mut self, tile: [i64; 2], pixels: Pixels) -> bool {
+        let is_whole = pixels.count() == TILE_CELLS * TILE_CELLS;
         if is_whole {
             self.tiles.insert(tile, pixels);
         }
@@ -96,39 +95,63 @@ impl Picture {
     fn around(&self, tile: [i64; 2]) -> Overhead {
         let margin = Overhead::margin(self.cell_m);
         let side = TILE_CELLS + 2 * margin;
-        let mut image = Overhead {
-            columns: side,
-            rows: side,
-            cell_m: self.cell_m,
-            grey: vec![0; side * side],
-            covered: vec![false; side * side],
-        };
         let reach = margin.div_ceil(TILE_CELLS) as i64;
-        for y in -reach..=reach {
-            for x in -reach..=reach {
+        let around = (-reach..=reach).flat_map(|y| (-reach..=reach).map(move |x| [x, y]));
+        let near: Vec<(&Pixels, [i64; 2])> = around
+            .filter_map(|[x, y]| {
                 let near = [tile[0].saturating_add(x), tile[1].saturating_add(y)];
-                if let Some(pixels) = self.tiles.get(&near) {
-                    let cells = |tiles: i64| margin as i64 + tiles * TILE_CELLS as i64;
-                    lay(&mut image, pixels, [cells(x), cells(-y)]);
-                }
-            }
+                let cells = |tiles: i64| margin as i64 + tiles * TILE_CELLS as i64;
+                Some((self.tiles.get(&near)?, [cells(x), cells(-y)]))
+            })
+            .collect();
+        let in_colour = near
+            .iter()
+            .any(|(pixels, _)| matches!(pixels, Pixels::Colour(_)));
+        let channels = if in_colour {
+            Channels::Colour
+        } else {
+            Channels::Grey
+        };
+        let mut image = Overhead::unseen(channels, [side; 2], self.cell_m);
+        for (pixels, corner) in near {
+            lay(&mut image, pixels, corner);
         }
-        image
+        image.without_equal_channels()
     }
 }
 
 /// Lays the part of a tile that an image has room for on it, with the tile's north-western corner at this column and row.
-fn lay(image: &mut Overhead, pixels: &[Pixel], [column, row]: [i64; 2]) {
+fn lay(image: &mut Overhead, pixels: &Pixels, corner: [i64; 2]) {
+    match pixels {
+        Pixels::Grey(pixels) => lay_each(image, pixels, corner, |[grey, alpha]| {
+            ([*grey; 3], *alpha > 0)
+        }),
+        Pixels::Colour(pixels) => lay_each(image, pixels, corner, |[red, green, blue, alpha]| {
+            ([*red, *green, *blue], *alpha > 0)
+        }),
+    }
+}
+
+/// [`lay`], of pixels with a colour, and whether anything was seen there. On a grey image all pixels are grey.
+fn lay_each<P>(
+    image: &mut Overhead,
+    pixels: &[P],
+    [column, row]: [i64; 2],
+    shown: impl Fn(&P) -> ([u8; 3], bool),
+) {
     let within = |at: i64, count: usize| usize::try_from(at).ok().filter(|at| *at < count);
     for (down, line) in (0..).zip(pixels.chunks(TILE_CELLS)) {
         let Some(row) = within(row + down, image.rows) else {
             continue;
         };
-        for (right, [grey, alpha]) in (0..).zip(line) {
+        for (right, pixel) in (0..).zip(line) {
             if let Some(column) = within(column + right, image.columns) {
                 let at = row * image.columns + column;
-                image.grey[at] = *grey;
-                image.covered[at] = *alpha > 0;
+                let (colour, is_covered) = shown(pixel);
+                for (channel, value) in image.channels.iter_mut().zip(colour) {
+                    channel[at] = value;
+                }
+                image.covered[at] = is_covered;
             }
         }
     }
@@ -138,7 +161,9 @@ fn content(image: &Overhead) -> String {
     let mut digest = blake3::Hasher::new();
     digest.update(&WAY.to_le_bytes());
     digest.update(&image.cell_m.to_le_bytes());
-    digest.update(&image.grey);
+    for channel in &image.channels {
+        digest.update(channel);
+    }
     let covered = image.covered.iter().map(|seen| u8::from(*seen));
     digest.update(&covered.collect::<Vec<u8>>());
     digest.finalize().to_hex().to_string()
@@ -164,7 +189,7 @@ mod tests {
     const CELL_M: f64 = 0.05;
 
     /// Grain, the same for the same seed, on which somebody has drawn a line from south to north.
-    fn tile(seed: u64) -> Vec<Pixel> {
+    fn tile(seed: u64) -> Vec<[u8; 2]> {
         let mut random = SplitMix64(seed);
         let pixel = |at: usize| {
             let is_line = (100..103).contains(&(at % TILE_CELLS));
@@ -178,7 +203,7 @@ mod tests {
     fn row() -> Picture {
         let mut picture = Picture::new(CELL_M);
         for x in 0..5 {
-            assert!(picture.add([x, 0], tile(x as u64)));
+            assert!(picture.add([x, 0], Pixels::Grey(tile(x as u64))));
         }
         picture
     }
@@ -203,19 +228,19 @@ mod tests {
         // In the middle of a tile, farther from its neighbours than contrast is levelled.
         let mut changed = tile(2);
         changed[128 * TILE_CELLS + 128] = [255, 255];
-        picture.add([2, 0], changed.clone());
+        picture.add([2, 0], Pixels::Grey(changed.clone()));
         assert_eq!(anew(&picture, &before), [2]);
         // Two metres from its western border, in the rim of the neighbour there.
         changed[128 * TILE_CELLS + 40] = [255, 255];
-        picture.add([2, 0], changed);
+        picture.add([2, 0], Pixels::Grey(changed));
         assert_eq!(anew(&picture, &before), [1, 2]);
         // A tile more: its neighbour has another rim.
         let mut picture = row();
-        picture.add([5, 0], tile(5));
+        picture.add([5, 0], Pixels::Grey(tile(5)));
         assert_eq!(anew(&picture, &before), [4, 5]);
         // The same pixels in cells of another size are something else.
         let mut coarser = Picture::new(0.1);
-        coarser.add([0, 0], tile(0));
+        coarser.add([0, 0], Pixels::Grey(tile(0)));
         assert_eq!(anew(&coarser, &before), [0]);
     }
 
@@ -223,13 +248,7 @@ mod tests {
     fn tiles_are_described_as_one_image_is() {
         let picture = row();
         let (columns, rows) = (5 * TILE_CELLS, TILE_CELLS);
-        let mut whole = Overhead {
-            columns,
-            rows,
-            cell_m: CELL_M,
-            grey: vec![0; columns * rows],
-            covered: vec![true; columns * rows],
-        };
+        let mut whole = Overhead::unseen(Channels::Grey, [columns, rows], CELL_M);
         for ([x, _], pixels) in &picture.tiles {
             lay(&mut whole, pixels, [x * TILE_CELLS as i64, 0]);
         }
@@ -245,13 +264,89 @@ mod tests {
         }
     }
 
+    /// The line of a tile yellow, as bright as a floor of this grey value.
+    fn yellow(seed: u64, floor: u8) -> Vec<[u8; 4]> {
+        let pixels = tile(seed).into_iter().map(|[grey, alpha]| match grey {
+            200 => [floor + 20, floor + 8, floor.saturating_sub(90), alpha],
+            grey => [grey, grey, grey, alpha],
+        });
+        pixels.collect()
+    }
+
+    /// The contents and gradients of a picture, without what is known.
+    fn all(picture: &Picture) -> Vec<(String, Vec<GradientCell>)> {
+        let described = picture.described(|_, _| false).into_iter();
+        described
+            .map(|tile| (tile.content, tile.cells.unwrap()))
+            .collect()
+    }
+
+    #[test]
+    fn equal_channels_are_described_as_grey_is() {
+        let mut colours = Picture::new(CELL_M);
+        for x in 0..5 {
+            let grey = tile(x as u64);
+            let colour = grey
+                .iter()
+                .map(|[grey, alpha]| [*grey, *grey, *grey, *alpha]);
+            // Some tiles are grey all the same.
+            let pixels = match x {
+                1 | 2 => Pixels::Grey(grey),
+                _ => Pixels::Colour(colour.collect()),
+            };
+            assert!(colours.add([x, 0], pixels));
+        }
+        assert_eq!(all(&colours), all(&row()));
+    }
+
+    #[test]
+    fn a_line_that_is_as_bright_as_the_floor_shows_in_colour() {
+        let [mut grey, mut colour] = [Picture::new(CELL_M), Picture::new(CELL_M)];
+        let pixels = yellow(1, 100);
+        let luma = pixels.iter().map(|[red, green, blue, alpha]| {
+            let [red, green, blue] = [red, green, blue].map(|it| u32::from(*it));
+            [
+                ((299 * red + 587 * green + 114 * blue) / 1000) as u8,
+                *alpha,
+            ]
+        });
+        grey.add([0, 0], Pixels::Grey(luma.collect()));
+        colour.add([0, 0], Pixels::Colour(pixels));
+        let of_line = |picture: &Picture| {
+            let (_, cells) = all(picture).remove(0);
+            let near = cells.chunks(TILE_CELLS).skip(20).take(200);
+            let near = near.map(|line| u32::from(line[99][0]).max(u32::from(line[103][0])));
+            near.sum::<u32>() / 200
+        };
+        let [in_grey, in_colour] = [&grey, &colour].map(of_line);
+        assert!(in_colour > 3 * in_grey, "{in_colour} {in_grey}");
+    }
+
+    #[test]
+    fn a_colour_in_the_rim_of_a_neighbour_is_something_else_there_too() {
+        let before = row().described(|_, _| false);
+        let with = |at: usize| {
+            let mut picture = row();
+            let grey = tile(2).into_iter();
+            let mut colour: Vec<[u8; 4]> = grey
+                .map(|[grey, alpha]| [grey, grey, grey, alpha])
+                .collect();
+            colour[at][2] ^= 64;
+            picture.add([2, 0], Pixels::Colour(colour));
+            anew(&picture, &before)
+        };
+        assert_eq!(with(128 * TILE_CELLS + 128), [2]);
+        assert_eq!(with(128 * TILE_CELLS + 40), [1, 2]);
+    }
+
     #[test]
     fn cells_of_any_size_are_described() {
         for cell_m in [1e-300, 0.05, 1e300] {
             let mut picture = Picture::new(cell_m);
-            picture.add([0, 0], tile(0));
+            picture.add([0, 0], Pixels::Grey(tile(0)));
             assert_eq!(picture.described(|_, _| false).len(), 1);
         }
-        assert!(!Picture::new(CELL_M).add([0, 0], vec![[0, 0]]));
+        let few = [Pixels::Grey(vec![[0; 2]]), Pixels::Colour(vec![[0; 4]])];
+        assert!(few.map(|few| Picture::new(CELL_M).add([0, 0], few)) == [false; 2]);
     }
 }

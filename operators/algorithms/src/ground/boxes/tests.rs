@@ -12,8 +12,9 @@ use std::path::Path;
 use super::GroundBox;
 use super::lesson::{Lesson, reach_of};
 use super::mosaic::{LONGEST_CELLS, MOST_BEYOND, Mosaic};
-use super::picture::{self, Pixel};
+use super::picture;
 use super::teaching::{Example, Hypothesis, Said, Taught, TeachingParams};
+use crate::ground::channels::Pixels;
 use crate::ground::tiles::TILE_CELLS;
 use crate::solving::median::median;
 use crate::solving::random::SplitMix64;
@@ -26,8 +27,8 @@ const CELL_M: f64 = 0.05;
 struct Picture {
     columns: usize,
     rows: usize,
-    /// Row by row from the north.
-    pixels: Vec<Pixel>,
+    /// Grey and alpha, row by row from the north.
+    pixels: Vec<[u8; 2]>,
 }
 
 impl Picture {
@@ -69,7 +70,7 @@ impl Picture {
                     }
                 };
                 let pixels = (0..TILE_CELLS * TILE_CELLS).map(pixel).collect();
-                assert!(tiles.add([x as i64, y as i64], pixels));
+                assert!(tiles.add([x as i64, y as i64], Pixels::Grey(pixels)));
             }
         }
         tiles.mosaic()

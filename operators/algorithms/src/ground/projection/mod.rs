@@ -9,7 +9,7 @@
 //! ```text
 //! map cell ──affine, one addition per cell──▶ place in the vehicle's grid
 //!          ──bilinear between 4 grid nodes──▶ pixel and weight, at every fourth cell or so
-//!          ──bilinear, fixed point─────────▶ grey value
+//!          ──bilinear, fixed point─────────▶ grey value, or red, green and blue
 //! ```
 //!
 //! The table is bilinear, not nearest: with 5 cm nodes and a 400 px, 180° lens 1 m above ground
@@ -44,6 +44,43 @@ mod tests;
 
 pub use lut::{GroundLut, GroundParams, GroundParamsError, PixelMask};
 pub use splat::GroundRow;
+
+use super::channels::Channels;
+
+/// An image that somebody else owns, grey or in colour.
+#[derive(Debug, Clone, Copy)]
+pub struct ImageView<'a> {
+    width: u32,
+    height: u32,
+    channels: Channels,
+    pixels: &'a [u8],
+}
+
+impl<'a> ImageView<'a> {
+    /// Red, green and blue of each pixel, row by row, without gaps. `None` when there are not `3 * width * height` values.
+    pub fn of_colours(width: u32, height: u32, pixels: &'a [u8]) -> Option<Self> {
+        let channels = Channels::Colour;
+        let expected = (width as usize).checked_mul(height as usize)?;
+        let expected = expected.checked_mul(channels.count())?;
+        (pixels.len() == expected).then_some(Self {
+            width,
+            height,
+            channels,
+            pixels,
+        })
+    }
+}
+
+impl<'a> From<&GrayView<'a>> for ImageView<'a> {
+    fn from(image: &GrayView<'a>) -> Self {
+        Self {
+            width: image.width,
+            height: image.height,
+            channels: Channels::Grey,
+            pixels: image.pixels,
+        }
+    }
+}
 
 /// A grey image that somebody else owns.
 #[derive(Debug, Clone, Copy)]

@@ -3,8 +3,9 @@
 use nalgebra::Vector3;
 
 use super::lut::above;
-use super::{GrayView, GroundLut};
+use super::{GroundLut, ImageView};
 use crate::geometry::pose::Pose;
+use crate::ground::channels::Channels;
 use crate::ground::floor::{Floor, FloorPart};
 
 /// Fraction bits of a position in the table's grid. A row of 10⁶ cells drifts by less than 10⁻³
@@ -32,9 +33,9 @@ pub struct GroundRow<'a> {
     pub i: i64,
     /// Global row.
     pub j: i64,
-    /// Grey values; 0 where the weight is 0.
+    /// Grey values, or red, green and blue of each cell; 0 where the weight is 0.
     pub values: &'a [u8],
-    /// Weights; 0 where the image does not show the cell.
+    /// Weights, one for each cell; 0 where the image does not show it.
     pub weights: &'a [u8],
 }
 
@@ -46,15 +47,16 @@ impl GroundLut {
     /// The value of a cell is the image bilinearly interpolated at the cell's *centre*, in fixed
     /// point: the same bytes on every machine. Without a `floor`, or where it has no height, the ground is the vehicle's
     /// own plane.
-    pub fn splat(
+    pub fn splat<'a>(
         &self,
-        image: &GrayView<'_>,
+        image: impl Into<ImageView<'a>>,
         map_from_vehicle: &Pose,
         floor: Option<&Floor>,
         cell_m: f64,
         mut visit: impl FnMut(GroundRow<'_>),
     ) {
-        if (image.width(), image.height()) != (self.width, self.height) {
+        let image = image.into();
+        if (image.width, image.height) != (self.width, self.height) {
             return;
         }
         let map_from_plane = map_from_vehicle.compose(&above(self.plane_m));
@@ -62,12 +64,12 @@ impl GroundLut {
             return;
         };
         let bend = floor.and_then(|floor| Bend::new(self, &map_from_plane, floor, &grid, cell_m));
-        // One compiled loop for each length of span.
-        let fill = match self.span_bits(cell_m) {
-            0 => Self::sample_row::<0>,
-            1 => Self::sample_row::<1>,
-            _ => Self::sample_row::<MOST_SPAN_BITS>,
+        let span_bits = self.span_bits(cell_m);
+        let fill = match image.channels {
+            Channels::Grey => filling::<1>(span_bits),
+            Channels::Colour => filling::<3>(span_bits),
         };
+        let count = image.channels.count();
         let (mut values, mut weights) = (Vec::new(), Vec::new());
         for j in grid.rows(self) {
             let Some((i, length)) = grid.columns(self, j) else {
@@ -75,11 +77,11 @@ impl GroundLut {
             };
             values.clear();
             weights.clear();
-            values.resize(length, 0);
+            values.resize(count * length, 0);
             weights.resize(length, 0);
             fill(
                 self,
-                image,
+                &image,
                 &Row {
                     at: grid.start(i, j),
                     step: grid.step,
@@ -97,7 +99,7 @@ impl GroundLut {
             visit(GroundRow {
                 i: i + from as i64,
                 j,
-                values: &values[from..to],
+                values: &values[count * from..count * to],
                 weights: &weights[from..to],
             });
         }
@@ -116,16 +118,17 @@ impl GroundLut {
     }
 
     /// Fills one row. The table is read at the ends of spans, and the pixel moves in equal steps between.
-    fn sample_row<const SPAN_BITS: u32>(
+    fn sample_row<const SPAN_BITS: u32, const COUNT: usize>(
         &self,
-        image: &GrayView<'_>,
+        image: &ImageView<'_>,
         row: &Row<'_>,
         values: &mut [u8],
         weights: &mut [u8],
     ) {
         let look = |cell: usize| self.pixel(row.position(cell)?);
         let size = 1 << SPAN_BITS;
-        let spans = values.len().saturating_sub(1) / size;
+        let (values, _) = values.as_chunks_mut::<COUNT>();
+        let spans = weights.len().saturating_sub(1) / size;
         let mut from = look(0);
         for (span, (values, weights)) in values
             .chunks_exact_mut(size)
@@ -139,7 +142,7 @@ impl GroundLut {
             }
             from = to;
         }
-        for cell in spans * size..values.len() {
+        for cell in spans * size..weights.len() {
             if let Some(at) = look(cell) {
                 sample_span(
                     image,
@@ -172,6 +175,18 @@ impl GroundLut {
     }
 }
 
+/// Fills the values and weights of a row.
+type Fill = fn(&GroundLut, &ImageView<'_>, &Row<'_>, &mut [u8], &mut [u8]);
+
+/// One compiled loop for each length of span.
+fn filling<const COUNT: usize>(span_bits: u32) -> Fill {
+    match span_bits {
+        0 => GroundLut::sample_row::<0, COUNT>,
+        1 => GroundLut::sample_row::<1, COUNT>,
+        _ => GroundLut::sample_row::<MOST_SPAN_BITS, COUNT>,
+    }
+}
+
 /// The fraction of a grid position, from its upper 24 bits: exact in f32.
 #[inline(always)]
 fn fraction(at: i64) -> f32 {
@@ -181,10 +196,10 @@ fn fraction(at: i64) -> f32 {
 /// Samples the image at equal steps from one pixel towards (not including) another. All
 /// arithmetic is on integers.
 #[inline(always)]
-fn sample_span(
-    image: &GrayView<'_>,
+fn sample_span<const COUNT: usize>(
+    image: &ImageView<'_>,
     (from, to, span_bits): ([i32; 3], [i32; 3], u32),
-    values: &mut [u8],
+    values: &mut [[u8; COUNT]],
     weights: &mut [u8],
 ) {
     let width = image.width as usize;
@@ -193,14 +208,17 @@ fn sample_span(
     for (value, weight) in values.iter_mut().zip(weights) {
         let part = |x: i32| (x >> (PIXEL_BITS - 8)) as u32 & 0xff;
         let (fu, fv) = (part(u), part(v));
-        let at = (v >> PIXEL_BITS) as usize * width + (u >> PIXEL_BITS) as usize;
-        if let Some(window) = image.pixels.get(at..at + width + 2) {
+        let at = COUNT * ((v >> PIXEL_BITS) as usize * width + (u >> PIXEL_BITS) as usize);
+        if let Some(window) = image.pixels.get(at..at + COUNT * (width + 2)) {
             // Two rows in the halves of one integer: 255 × 256 fits in 16 bits.
-            let pair =
-                |offset: usize| u32::from(window[offset]) | u32::from(window[width + offset]) << 16;
-            let mixed = pair(0) * (256 - fu) + pair(1) * fu;
-            let (north, south) = (mixed & 0xffff, mixed >> 16);
-            *value = ((north * (256 - fv) + south * fv + (1 << 15)) >> 16) as u8;
+            let pair = |offset: usize| {
+                u32::from(window[offset]) | u32::from(window[COUNT * width + offset]) << 16
+            };
+            for (channel, value) in value.iter_mut().enumerate() {
+                let mixed = pair(channel) * (256 - fu) + pair(COUNT + channel) * fu;
+                let (north, south) = (mixed & 0xffff, mixed >> 16);
+                *value = ((north * (256 - fv) + south * fv + (1 << 15)) >> 16) as u8;
+            }
             *weight = (looked >> PIXEL_BITS) as u8;
         }
         u += step[0];

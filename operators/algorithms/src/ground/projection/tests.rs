@@ -172,6 +172,56 @@ fn a_patch_holds_just_the_cells_that_are_seen() {
     assert_eq!(lut.patch(&image, &nowhere, None, 0.1), None);
 }
 
+/// Cells of half and a whole node, and of so many that spans are short: each compiled loop.
+#[test]
+fn each_colour_lies_where_grey_does() {
+    let (camera, vehicle_from_camera) = rig();
+    let params = GroundParams::default();
+    let lut = GroundLut::new(&camera, &vehicle_from_camera, &params, None).unwrap();
+    let grey = picture(&camera);
+    let channels: [Vec<u8>; 3] = [
+        grey.clone(),
+        grey.iter().map(|grey| 255 - grey).collect(),
+        grey.iter().rev().copied().collect(),
+    ];
+    let pixels = 0..grey.len();
+    let pixels = pixels.flat_map(|pixel| channels.each_ref().map(|channel| channel[pixel]));
+    let pixels: Vec<u8> = pixels.collect();
+    let image = ImageView::of_colours(400, 300, &pixels).unwrap();
+    let pose = Pose::from_yaw(-2.0, 1.0, 0.7);
+    for cell_m in [0.025, 0.1, 0.2, 0.5] {
+        let patch = lut.patch(image, &pose, None, cell_m).unwrap();
+        assert!(patch.is_sound());
+        assert_eq!(patch.channels(), Channels::Colour);
+        for (at, channel) in channels.iter().enumerate() {
+            let alone = GrayView::new(400, 300, channel).unwrap();
+            let alone = lut.patch(&alone, &pose, None, cell_m).unwrap();
+            let values: Vec<u8> = patch.values.iter().skip(at).step_by(3).copied().collect();
+            assert_eq!((values, &patch.weights), (alone.values, &alone.weights));
+            assert_eq!([patch.column, patch.row], [alone.column, alone.row]);
+        }
+    }
+    assert!(ImageView::of_colours(400, 300, &pixels[3..]).is_none());
+}
+
+#[test]
+fn an_image_without_a_colour_makes_a_grey_patch() {
+    let (camera, vehicle_from_camera) = rig();
+    let params = GroundParams::default();
+    let lut = GroundLut::new(&camera, &vehicle_from_camera, &params, None).unwrap();
+    let grey = picture(&camera);
+    let pixels: Vec<u8> = grey.iter().flat_map(|grey| [*grey; 3]).collect();
+    let pose = Pose::from_yaw(-2.0, 1.0, 0.7);
+    let image = ImageView::of_colours(400, 300, &pixels).unwrap();
+    let alone = GrayView::new(400, 300, &grey).unwrap();
+    let [patch, expected] = [
+        lut.patch(image, &pose, None, 0.1),
+        lut.patch(&alone, &pose, None, 0.1),
+    ];
+    assert!(patch.is_some());
+    assert_eq!(patch, expected);
+}
+
 #[test]
 fn senseless_input_is_refused_or_gives_nothing() {
     let (camera, vehicle_from_camera) = rig();

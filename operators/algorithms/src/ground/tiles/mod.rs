@@ -9,7 +9,10 @@
 //! | weight, 28 bit | value × weight, 36 bit    |
 //! ```
 //!
-//! Merging two tiles is 65 536 integer additions: associative, commutative, and half the memory
+//! A tile that images in colour show has three of these for each cell, of red, green and blue; it is grey until the first of
+//! them comes. A grey look is one of three equal values, so sums are the same whichever comes first.
+//!
+//! Merging two tiles is 65 536 integer additions, or three times as many: associative, commutative, and half the memory
 //! of separate fields. One look adds at most 255 to the weight and 255 × 255 to the sum, so a
 //! cell holds 2²⁰ looks of full weight (1 052 688, to be exact). As no value exceeds 255 the
 //! lower field is always below 255 times the upper one and cannot overflow first; one more look

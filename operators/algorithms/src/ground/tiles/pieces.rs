@@ -57,11 +57,13 @@ impl Piece<'_> {
         let Patch {
             values, weights, ..
         } = self.patch;
+        let count = self.patch.channels().count();
         let within = |first: i64, at: usize| (first + at as i64).rem_euclid(SIDE) as usize;
         let column = within(self.patch.column, self.columns.start);
         for row in self.rows.clone() {
             let (cells, to) = (self.cells(row), within(self.patch.row, row));
-            sums.add_row(column, to, &values[cells.clone()], &weights[cells])?;
+            let shown = count * cells.start..count * cells.end;
+            sums.add_row(column, to, &values[shown], &weights[cells])?;
         }
         Ok(())
     }

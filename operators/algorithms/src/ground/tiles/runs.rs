@@ -5,14 +5,15 @@ use std::fmt;
 use serde::de::{Error, Visitor};
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
-use super::{TILE_CELLS, TileSum};
+use super::TileSum;
+use super::sum::CELLS;
+use crate::ground::channels::Channels;
 
-const CELLS: usize = TILE_CELLS * TILE_CELLS;
-
-/// As bytes: for each run of cells that were seen the number of unseen ones before it, its own length, and its sums.
+/// As bytes: the number of channels; then for each run of sums that are not 0 the number of those before it that are, its own
+/// length, and the sums.
 impl Serialize for TileSum {
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
-        let mut bytes = Vec::new();
+        let mut bytes = vec![self.channels().count() as u8];
         let mut at = 0;
         while let Some(skip) = self.cells[at..].iter().position(|cell| *cell != 0) {
             let run = &self.cells[at + skip..];
@@ -42,14 +43,18 @@ impl<'de> Deserialize<'de> for TileSum {
     }
 }
 
-pub(super) fn unpack(mut rest: &[u8]) -> Option<TileSum> {
-    let mut cells = Vec::with_capacity(CELLS);
+pub(super) fn unpack(bytes: &[u8]) -> Option<TileSum> {
+    let (channels, mut rest) = bytes.split_first()?;
+    let known = [Channels::Grey, Channels::Colour].map(Channels::count);
+    let count = known.into_iter().find(|it| *it == usize::from(*channels))?;
+    let all = CELLS * count;
+    let mut cells = Vec::with_capacity(all);
     while !rest.is_empty() {
         let (skip, after) = rest.split_first_chunk::<4>()?;
         let (length, after) = after.split_first_chunk::<4>()?;
         let skip = u32::from_le_bytes(*skip) as usize;
         let length = u32::from_le_bytes(*length) as usize;
-        if skip.checked_add(length)? > CELLS - cells.len() {
+        if skip.checked_add(length)? > all - cells.len() {
             return None;
         }
         cells.resize(cells.len() + skip, 0);
@@ -58,6 +63,6 @@ pub(super) fn unpack(mut rest: &[u8]) -> Option<TileSum> {
         cells.extend(sums.iter().map(|sum| u64::from_le_bytes(*sum)));
         rest = after;
     }
-    cells.resize(CELLS, 0);
+    cells.resize(all, 0);
     Some(TileSum { cells })
 }

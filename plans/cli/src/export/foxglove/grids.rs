@@ -92,10 +92,9 @@ fn danger(cells: &[DangerCell]) -> Option<(Raster, f64, Vec<i8>)> {
 /// The overhead image; nothing of it where nothing was seen.
 fn floor(ground: &Mosaic, stamp: i64) -> Grid {
     let south = ground.north - ground.height as f64 * ground.cell_m;
-    let rows = ground.cells.chunks(ground.width.max(1)).rev();
-    let cells = rows
-        .flatten()
-        .flat_map(|[grey, alpha]| [*grey, *grey, *grey, *alpha]);
+    let rows = (0..ground.height).rev();
+    let places = rows.flat_map(|row| row * ground.width..(row + 1) * ground.width);
+    let cells = places.flat_map(|cell| ground.colour(cell));
     let channels = ["red", "green", "blue", "alpha"];
     Grid {
         timestamp: time(stamp),
