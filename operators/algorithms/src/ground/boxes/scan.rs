@@ -25,10 +25,12 @@ pub struct Scored {
     pub score: f64,
 }
 
-/// The boxes of these lengths and widths whose score is highest among those that overlap, of those that are `asked` for: the
-/// best first, `most` of them at most. `weights` are those of [`describe`]'s numbers.
+/// The boxes of these lengths and widths whose score is highest among those that overlap, of those that are `asked` for, all
+/// between two corners (south-west and north-east, m): the best first, `most` of them at most. `weights` are those of
+/// [`describe`]'s numbers.
 pub fn scan(
     gradients: &Gradients,
+    corners: [[f64; 2]; 2],
     weights: &[f64],
     sizes_m: &[[f64; 2]],
     asked: impl Fn(&GroundBox) -> bool + Sync,
@@ -39,7 +41,7 @@ pub fn scan(
         .flat_map(|size| (0..HEADINGS).map(move |heading| (*size, heading)));
     let headings: Vec<([f64; 2], usize)> = headings.collect();
     let found = headings.into_par_iter().flat_map_iter(|(size, heading)| {
-        let mut found = Turned::new(gradients, size, heading).fitting(weights);
+        let mut found = Turned::new(gradients, corners, size, heading).fitting(weights);
         found.retain(|one| asked(&one.place));
         found
     });

@@ -169,7 +169,8 @@ impl Taught {
             let is_asked =
                 |place: &GroundBox| mosaic.part(place.centre) == part && headings.allow(place);
             let gradients = mosaic.gradients(part, reach_of(&self.sizes_m));
-            self.find_in(&gradients, is_asked, &known, room as usize)
+            let corners = mosaic.corners(part);
+            self.find_in(&gradients, corners, is_asked, &known, room as usize)
         });
         let scored = |one: &Described| one.scored;
         Candidates(apart(found.collect(), room as usize, scored))
@@ -214,12 +215,13 @@ impl Taught {
     fn find_in(
         &self,
         gradients: &Gradients,
+        corners: [[f64; 2]; 2],
         is_asked: impl Fn(&GroundBox) -> bool + Sync,
         known: &Known,
         most: usize,
     ) -> Vec<Described> {
         let weights = self.process.weights();
-        let found = scan(gradients, weights, &self.sizes_m, is_asked, most);
+        let found = scan(gradients, corners, weights, &self.sizes_m, is_asked, most);
         let open = found
             .into_iter()
             .filter(|one| known.leaves_open(&one.place));

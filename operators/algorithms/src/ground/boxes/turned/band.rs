@@ -37,6 +37,8 @@ pub(super) struct Cells {
     pub(super) roots: Vec<[f32; BINS]>,
     /// Their squares, added up.
     pub(super) squares: Vec<f32>,
+    /// The columns where they are not zero.
+    filled: Range<usize>,
 }
 
 /// The rows of an image that is turned that boxes about one of them show.
@@ -49,6 +51,8 @@ pub(super) struct Band<'a> {
     pub(super) complete: usize,
     /// Rows that are read before all that boxes about one of them show is known.
     ahead: usize,
+    /// How far from a place a box about it shows something (m).
+    reach_m: f64,
     numbers: Vec<i32>,
     histograms: Window<BINS>,
     samples: Window<1>,
@@ -76,6 +80,7 @@ impl<'a> Band<'a> {
         let cells = || Cells {
             roots: vec![[0.0; BINS]; columns],
             squares: vec![0.0; columns],
+            filled: 0..0,
         };
         Self {
             turned,
@@ -83,6 +88,8 @@ impl<'a> Band<'a> {
             read: 0,
             complete: 0,
             ahead,
+            // As whole steps, a cell and what is summed over it are at most a step farther away.
+            reach_m: 0.5 * reach[0].hypot(reach[1]) + 4.0 * turned.step_m,
             numbers: vec![-1; columns],
             histograms: Window::new(columns, cell),
             samples: Window::new(columns, window),
@@ -141,19 +148,16 @@ impl<'a> Band<'a> {
         );
     }
 
-    /// The numbers of the cells that the next row's places lie in; the columns that are not outside.
+    /// The numbers of the cells that the next row's places lie in, of the columns that boxes show.
     #[inline(always)]
     fn number(&mut self) -> Range<usize> {
         let (gradients, centre) = (self.turned.gradients, self.turned.centre());
-        for (column, number) in self.numbers.iter_mut().enumerate() {
+        let near = self.turned.near(self.read, self.reach_m);
+        let numbers = &mut self.numbers[near.clone()];
+        for (column, number) in near.clone().zip(numbers) {
             *number = gradients.number(centre(column, self.read));
         }
-        let is_inside = |number: &i32| *number >= 0;
-        let first = self.numbers.iter().position(is_inside);
-        let last = self.numbers.iter().rposition(is_inside);
-        first
-            .zip(last)
-            .map_or(0..0, |(first, last)| first..last + 1)
+        near
     }
 
     /// Keeps what the sums that are complete with the next row say.
@@ -162,8 +166,13 @@ impl<'a> Band<'a> {
         if let Some(row) = self.read.checked_sub(self.histograms.radius[1]) {
             let kept = self.cells.len();
             let cells = &mut self.cells[row % kept];
-            let lines = cells.roots.iter_mut().zip(&mut cells.squares);
-            for ((roots, squares), sums) in lines.zip(&self.histograms.sums) {
+            let filled = self.histograms.filled();
+            let changed = hull(&cells.filled, &filled);
+            cells.filled = filled;
+            let lines = cells.roots[changed.clone()]
+                .iter_mut()
+                .zip(&mut cells.squares[changed.clone()]);
+            for ((roots, squares), sums) in lines.zip(&self.histograms.sums[changed]) {
                 *roots = sums.map(|sum| (sum as f32 * self.part).sqrt());
                 *squares = roots.iter().map(|root| root * root).sum();
             }
@@ -203,6 +212,12 @@ impl<const N: usize> Window<N> {
             lines: VecDeque::new(),
             values: vec![[0; N]; columns],
         }
+    }
+
+    /// The columns in which any of the rows is filled.
+    fn filled(&self) -> Range<usize> {
+        let lines = self.lines.iter();
+        lines.fold(0..0, |all, line| hull(&all, &line.filled))
     }
 
     /// The next row, of which only these columns are not zero, enters the window, and the first one leaves it.
@@ -256,6 +271,15 @@ impl<const N: usize> Line<N> {
                 sum = less(sum, leaves);
             }
         }
+    }
+}
+
+/// The columns from the first of two ranges to the last.
+fn hull(one: &Range<usize>, other: &Range<usize>) -> Range<usize> {
+    match (one.is_empty(), other.is_empty()) {
+        (true, _) => other.clone(),
+        (_, true) => one.clone(),
+        _ => one.start.min(other.start)..one.end.max(other.end),
     }
 }
 

@@ -7,6 +7,8 @@ mod band;
 #[cfg(test)]
 mod tests;
 
+use std::ops::Range;
+
 use self::band::{Band, Cells};
 use super::GroundBox;
 use super::description::{ACROSS, ALONG, BINS, LEAST_SEEN, LENGTH, norm, reach_m};
@@ -29,14 +31,22 @@ pub(super) struct Turned<'a> {
     heading: usize,
     /// The box about the image's middle.
     middle: GroundBox,
+    /// Where places are searched: the south-western and the north-eastern corner (m).
+    searched: [[f64; 2]; 2],
     step_m: f64,
     columns: usize,
     rows: usize,
 }
 
 impl<'a> Turned<'a> {
-    /// For boxes of this length and width (m), at this one of all headings.
-    pub(super) fn new(gradients: &'a Gradients, size_m: [f64; 2], heading: usize) -> Self {
+    /// For boxes of this length and width (m), at this one of all headings, with their middles between a south-western and a
+    /// north-eastern corner (m).
+    pub(super) fn new(
+        gradients: &'a Gradients,
+        [south_west, north_east]: [[f64; 2]; 2],
+        size_m: [f64; 2],
+        heading: usize,
+    ) -> Self {
         let yaw = std::f64::consts::PI * heading as f64 / HEADINGS as f64;
         let (sin, cos) = yaw.sin_cos();
         let sides =
@@ -47,7 +57,13 @@ impl<'a> Turned<'a> {
             sides[0] * sin.abs() + sides[1] * cos.abs(),
         ]
         .map(|side| (side / step_m).ceil().max(1.0) as usize);
+        // Of a box about a place outside of the image too little was seen.
+        let [first, last] = [gradients.within([0.0, 1.0]), gradients.within([1.0, 0.0])];
         Self {
+            searched: [
+                [0, 1].map(|axis| south_west[axis].max(first[axis])),
+                [0, 1].map(|axis| north_east[axis].min(last[axis])),
+            ],
             gradients,
             heading,
             middle: GroundBox {
@@ -71,6 +87,23 @@ impl<'a> Turned<'a> {
         let (columns, rows, step_m) = (self.columns, self.rows, self.step_m);
         let from_middle = move |at: usize, count: usize| (at as f64 - 0.5 * count as f64) * step_m;
         move |column, row| to_map([from_middle(column, columns), from_middle(row, rows)])
+    }
+
+    /// The columns of a row that are searched, or no farther beyond (m) than this, and a few beside them.
+    fn near(&self, row: usize, beyond_m: f64) -> Range<usize> {
+        let centre = self.centre();
+        let [from, to] = [centre(0, row), centre(self.columns, row)];
+        let (mut first, mut last) = (0.0_f64, 1.0_f64);
+        for axis in 0..2 {
+            let along = to[axis] - from[axis];
+            let [low, high] = self.searched.map(|corner| corner[axis]);
+            let shares = [low - beyond_m, high + beyond_m].map(|side| (side - from[axis]) / along);
+            first = first.max(shares[0].min(shares[1]));
+            last = last.min(shares[0].max(shares[1]));
+        }
+        let [first, last] = [first, last].map(|share| share * self.columns as f64);
+        let last = (last.ceil() as usize).saturating_add(2).min(self.columns);
+        (first.floor() as usize).saturating_sub(1).min(last)..last
     }
 
     /// Steps from a place to the farthest one in a window of this side (m) about it.
@@ -107,9 +140,11 @@ impl<'a> Turned<'a> {
             while band.complete <= *row {
                 band.read_on();
             }
+            // With neighbours of those that are searched, that none of these is a peak which is none.
+            let near = self.near(*row, 2.0 * STRIDE as f64 * self.step_m);
             vectorised(
                 #[inline(always)]
-                || template.score(&band, *row, columns, &mut scores),
+                || template.score(&band, *row, columns, &near, &mut scores),
             );
         }
         scores
@@ -177,14 +212,22 @@ impl Template {
         }
     }
 
-    /// Adds the scores of a row.
+    /// Adds the scores of a row; those that are not near are not looked at.
     #[inline(always)]
-    fn score(&self, band: &Band<'_>, row: usize, columns: &[usize], scores: &mut [Vec<f32>; 2]) {
+    fn score(
+        &self,
+        band: &Band<'_>,
+        row: usize,
+        columns: &[usize],
+        near: &Range<usize>,
+        scores: &mut [Vec<f32>; 2],
+    ) {
         let lines = self
             .across
             .map(|across| band.cells(row.wrapping_add_signed(across)));
         let seen = band.seen(row);
-        let is_seen = |column: &usize| f64::from(seen[*column]) >= self.least_seen;
+        let is_seen =
+            |column: &usize| near.contains(column) && f64::from(seen[*column]) >= self.least_seen;
         let (groups, rest) = columns.as_chunks::<TOGETHER>();
         for group in groups {
             self.score_group(&lines, *group, group.each_ref().map(is_seen), scores);

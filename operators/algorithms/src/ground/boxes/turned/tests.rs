@@ -7,6 +7,7 @@ use crate::solving::random::SplitMix64;
 const COLUMNS: usize = 70;
 const ROWS: usize = 50;
 const CELL_M: f64 = 0.05;
+const EVERYWHERE: [[f64; 2]; 2] = [[-1e9; 2], [1e9; 2]];
 
 /// Gradients at random, of which a corner was not seen.
 fn gradients(random: &mut SplitMix64) -> Gradients {
@@ -89,7 +90,7 @@ fn places_are_scored_by_what_their_cells_show() {
         (12, [0.9, 0.5]),
         (21, [1.0, 0.7]),
     ] {
-        let turned = Turned::new(&gradients, size_m, heading);
+        let turned = Turned::new(&gradients, EVERYWHERE, size_m, heading);
         let columns: Vec<usize> = (20..turned.columns - 20).step_by(STRIDE).collect();
         let rows: Vec<usize> = (14..turned.rows - 14).step_by(STRIDE).collect();
         let found = turned.scores(&weights, &columns, &rows);
