@@ -393,11 +393,16 @@ mod tests {
         let (samples, answers) = examples(30);
         let learnt = LinearProcess::learn(&samples, &answers).unwrap();
         let dense = dense(&learnt, &samples, &answers);
-        for sample in &examples(40).0 {
+        // More than are multiplied together.
+        let asked = examples(2 * TOGETHER + 3).0;
+        let each = learnt.at_each(&asked);
+        assert_eq!(each.len(), asked.len());
+        for (sample, each) in asked.iter().zip(&each) {
             let (mean, variance) = dense.at(sample);
-            let found = learnt.at(sample);
-            assert!((found.mean - mean).abs() < 1e-9, "{} {mean}", found.mean);
-            assert!((found.variance - variance).abs() < 1e-9);
+            for found in [each, &learnt.at(sample)] {
+                assert!((found.mean - mean).abs() < 1e-9, "{} {mean}", found.mean);
+                assert!((found.variance - variance).abs() < 1e-9);
+            }
         }
     }
 

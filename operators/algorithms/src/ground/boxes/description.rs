@@ -91,9 +91,9 @@ fn add_histograms(gradients: &Gradients, of: &GroundBox, cells: &mut [f32]) -> u
                 seen += 1;
                 let strength = f32::from(steps) * STEP;
                 let votes = &votes[usize::from(direction)];
-                for bin in 0..BINS {
-                    sums[bin] += strength * votes[bin] / (SAMPLES * SAMPLES) as f32;
-                }
+                sums = std::array::from_fn(|bin| {
+                    sums[bin] + strength * votes[bin] / (SAMPLES * SAMPLES) as f32
+                });
             }
         }
         bins.copy_from_slice(&sums);

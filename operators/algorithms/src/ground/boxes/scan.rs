@@ -1,6 +1,6 @@
 //! The places of an image where a description fits.
 //!
-//! At each heading the image is turned and scored everywhere ([`super::turned`]), and what fits best there moved and turned
+//! At each heading the image is turned and scored everywhere (`turned`), and what fits best there moved and turned
 //! until it fits no better.
 //!
 //! Only peaks are kept, so what is found does not depend on how the image was cut.
@@ -146,4 +146,76 @@ fn scored(gradients: &Gradients, weights: &[f64], place: &GroundBox) -> Option<f
             .map(|(value, weight)| f64::from(*value) * weight)
             .sum(),
     )
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use std::cell::Cell;
+
+    use super::*;
+
+    /// A hill with its top at a place that no step leads to exactly.
+    #[test]
+    fn a_box_is_moved_until_no_step_makes_it_better() {
+        let top = GroundBox {
+            centre: [2.03, -1.07],
+            yaw: 0.31,
+            length_m: 5.0,
+            width_m: 2.4,
+        };
+        let tried = Cell::new(0);
+        let score = |place: &GroundBox| {
+            tried.set(tried.get() + 1);
+            let [x, y] = [0, 1].map(|axis| place.centre[axis] - top.centre[axis]);
+            Some(-x * x - 2.0 * y * y - 3.0 * (place.yaw - top.yaw).powi(2))
+        };
+        let from = GroundBox {
+            centre: [1.9, -1.2],
+            yaw: 0.4,
+            ..top
+        };
+        let found = best_near(from, 0.1, 0.06, 3, score).unwrap();
+        // Each scale ends with six steps in vain, fewer where one of them leads back.
+        assert!(tried.get() <= 1 + 4 * 12, "{}", tried.get());
+        let (step_m, turn) = (0.1 / 8.0, 0.06 / 8.0);
+        let steps = [([step_m, 0.0], 0.0), ([0.0, step_m], 0.0), ([0.0; 2], turn)];
+        for (by, turn) in steps {
+            for sign in [1.0, -1.0] {
+                let place = GroundBox {
+                    centre: found.place.point(by.map(|by| sign * by)),
+                    yaw: found.place.yaw + sign * turn,
+                    ..found.place
+                };
+                assert!(score(&place).unwrap() <= found.score + 1e-12);
+            }
+        }
+        assert_eq!(best_near(from, 0.1, 0.06, 3, |_| None), None);
+    }
+
+    #[test]
+    fn of_boxes_that_overlap_the_best_is_kept_and_no_more_than_are_asked_for() {
+        let scored = |x: f64, score: f64| Scored {
+            place: GroundBox {
+                centre: [x, 0.0],
+                yaw: 0.0,
+                length_m: 2.0,
+                width_m: 2.0,
+            },
+            score,
+        };
+        let found = vec![
+            scored(0.0, 1.0),
+            scored(0.5, 3.0),
+            scored(9.0, 2.0),
+            scored(5.0, 0.5),
+        ];
+        let scores = |most: usize| {
+            let kept = apart(found.clone(), most, |one| *one).into_iter();
+            kept.map(|one| one.score).collect::<Vec<f64>>()
+        };
+        assert_eq!(scores(9), [3.0, 2.0, 0.5]);
+        assert_eq!(scores(2), [3.0, 2.0]);
+        assert!(scores(0).is_empty());
+    }
 }

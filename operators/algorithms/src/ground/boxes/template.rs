@@ -43,16 +43,16 @@ fn lay_out(gradients: &Gradients, of: &GroundBox, values: &mut [[f32; 2]]) {
     let at = |at: usize, axis: usize| ((at as f64 + 0.5) / SIDES[axis] as f64 - 0.5) * reach[axis];
     let to_map = of.to_map();
     let mut numbers = [0; SIDES[1]];
-    let mut shares = [[0.0; SIDES[1]]; 2];
+    let (mut across, mut down) = ([0.0; SIDES[1]], [0.0; SIDES[1]]);
     for (column, values) in values.chunks_exact_mut(SIDES[1]).enumerate() {
         let along = at(column, 0);
-        for row in 0..SIDES[1] {
-            let (number, [across, down]) = gradients.four(to_map([along, at(row, 1)]));
-            numbers[row] = number;
-            (shares[0][row], shares[1][row]) = (across, down);
+        let shares = across.iter_mut().zip(&mut down);
+        for (row, (number, share)) in numbers.iter_mut().zip(shares).enumerate() {
+            let four = gradients.four(to_map([along, at(row, 1)]));
+            (*number, [*share.0, *share.1]) = four;
         }
         for (row, value) in values.iter_mut().enumerate() {
-            let [x, y] = gradients.mean(numbers[row], [shares[0][row], shares[1][row]]);
+            let [x, y] = gradients.mean(numbers[row], [across[row], down[row]]);
             *value = [cos * x + sin * y, cos * y - sin * x];
         }
     }

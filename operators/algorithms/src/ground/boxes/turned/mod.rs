@@ -93,15 +93,16 @@ impl<'a> Turned<'a> {
     fn near(&self, row: usize, beyond_m: f64) -> Range<usize> {
         let centre = self.centre();
         let [from, to] = [centre(0, row), centre(self.columns, row)];
-        let (mut first, mut last) = (0.0_f64, 1.0_f64);
-        for axis in 0..2 {
-            let along = to[axis] - from[axis];
+        // Of the row, the share at which it comes in and goes out on each axis.
+        let shares = [0, 1].map(|axis| {
             let [low, high] = self.searched.map(|corner| corner[axis]);
-            let shares = [low - beyond_m, high + beyond_m].map(|side| (side - from[axis]) / along);
-            first = first.max(shares[0].min(shares[1]));
-            last = last.min(shares[0].max(shares[1]));
-        }
-        let [first, last] = [first, last].map(|share| share * self.columns as f64);
+            let share = |side: f64| (side - from[axis]) / (to[axis] - from[axis]);
+            [share(low - beyond_m), share(high + beyond_m)]
+        });
+        let first = shares.iter().map(|[one, other]| one.min(*other));
+        let last = shares.iter().map(|[one, other]| one.max(*other));
+        let first = self.columns as f64 * first.fold(0.0, f64::max);
+        let last = self.columns as f64 * last.fold(1.0, f64::min);
         let last = (last.ceil() as usize).saturating_add(2).min(self.columns);
         (first.floor() as usize).saturating_sub(1).min(last)..last
     }
@@ -270,14 +271,15 @@ impl Template {
                 totals = std::array::from_fn(|at| totals[at] + squares[STRIDE * at]);
             }
         }
-        for at in 0..N {
-            let norm = norm(totals[at]);
-            let scored = |sums: &[f32; BINS]| match are_seen[at] {
+        let ways = ahead.iter().zip(&back);
+        for ((way, total), is_seen) in ways.zip(totals).zip(are_seen) {
+            let norm = norm(total);
+            let scored = |sums: &[f32; BINS]| match is_seen {
                 true => sums.iter().sum::<f32>() / norm,
                 false => f32::NEG_INFINITY,
             };
-            scores[0].push(scored(&ahead[at]));
-            scores[1].push(scored(&back[at]));
+            scores[0].push(scored(way.0));
+            scores[1].push(scored(way.1));
         }
     }
 }
