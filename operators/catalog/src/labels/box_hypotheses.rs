@@ -59,6 +59,7 @@ fn hypotheses(
 }
 
 /// What was learnt of a kind, what was said of its boxes, and the lanes that these lie at.
+#[derive(Debug)]
 pub struct Kind {
     model: BoxModel,
     taught: Taught,
