@@ -7,13 +7,26 @@ use evermap_language::Input;
 use crate::program::reads::is_whole;
 use crate::program::{Scope, Stage};
 
-/// Decides which stages are kept: those that are written, are read twice, be it by one query (`read_again`), or are read at
-/// a wider scope or whole.
+/// Stages at most that lie one upon the other beneath that of a unit. Each query is planned with all that lies beneath
+/// it (`PlannedTable`), so that many take time by the square of their number.
+const MOST_LEVELS: usize = 32;
+
+/// Decides which stages are kept: those that are written, are read twice, be it by one query (`read_again`), are read at
+/// a wider scope or whole, or lie upon [`MOST_LEVELS`] that are not kept. Stages come after all that they read.
 pub fn decide(stages: &mut [Stage], written: &[String], read_again: &BTreeSet<Input>) {
     let mut stored = apart(stages, read_again);
     stored.extend(written.iter().cloned());
+    let mut levels: BTreeMap<String, usize> = BTreeMap::new();
     for stage in stages {
-        stage.stored = stored.contains(&stage.name);
+        let beneath = stage.reads.iter().filter_map(|read| match &read.table {
+            Input::Step(name) => levels.get(name).copied(),
+            _ => None,
+        });
+        let beneath = beneath.max().unwrap_or_default();
+        stage.stored = stored.contains(&stage.name) || beneath >= MOST_LEVELS;
+        if !stage.stored {
+            levels.insert(stage.name.clone(), beneath + 1);
+        }
     }
 }
 
@@ -82,5 +95,19 @@ mod tests {
         assert_eq!(kept(chain(4), "s3", &[]), ["s3"]);
         let twice = [1, 2].map(|step| Input::Step(format!("s{step}")));
         assert_eq!(kept(chain(4), "s3", &twice), ["s1", "s2", "s3"]);
+    }
+
+    #[test]
+    fn no_unit_has_more_levels_than_it_may() {
+        let last = format!("s{MOST_LEVELS}");
+        assert_eq!(kept(chain(MOST_LEVELS + 1), &last, &[]), [last.as_str()]);
+        assert_eq!(kept(chain(100), "s99", &[]), ["s32", "s65", "s98", "s99"]);
+        // Side by side they are no levels.
+        let mut wide: Vec<_> = (0..100)
+            .map(|step| query(&format!("s{step}"), &[]))
+            .collect();
+        let tables: Vec<_> = wide.iter().map(|stage| stage.name.clone()).collect();
+        wide.push(query("all", &tables));
+        assert_eq!(kept(wide, "all", &[]), ["all"]);
     }
 }
