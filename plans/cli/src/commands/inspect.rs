@@ -130,6 +130,7 @@ async fn contents(dataset: &Dataset, part: &LogPart, read: &LogIndex) -> Result<
         profile: read.profile.clone(),
         library: read.library.clone(),
         indexed: part.index.indexed,
+        unbelieved: part.index.unbelieved,
         messages: channels.iter().map(|channel| channel.messages).sum(),
         start_ns: range.map(|(start, _)| start),
         end_ns: range.map(|(_, end)| end),
