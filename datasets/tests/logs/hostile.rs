@@ -367,6 +367,85 @@ async fn a_file_that_is_no_log_is_lost_alone() {
     Dataset::open(&runtime, &bad, None).await.unwrap_err();
 }
 
+/// What a folder and patterns find: rows of `/t`, and each file that cannot be read.
+async fn found_at(given: &str) -> (usize, Vec<String>) {
+    let context = context(1);
+    let runtime = context.runtime_env();
+    let dataset = Dataset::open(&runtime, &[given.to_owned()], None)
+        .await
+        .unwrap();
+    dataset.register(&context).unwrap();
+    let rows = count(&context, "SELECT * FROM \"/t\"").await;
+    (rows, dataset.losses.told().into_keys().collect())
+}
+
+/// Names that no store has and no line of text says: such a log is counted, and the others are read.
+#[cfg(target_os = "linux")]
+#[tokio::test]
+async fn a_log_of_a_name_that_cannot_be_said_is_lost_alone() {
+    use std::ffi::OsStr;
+    use std::os::unix::ffi::OsStrExt;
+
+    let log = file(&[channel(1, 0, "/t", "json"), messages(&[1], 3)], &[]);
+    let said = "expected names in UTF-8 without control characters, found another one";
+    for (bad, shown) in [
+        (&b"b\xff.mcap"[..], "b\\xFF.mcap"),
+        (&b"tab\t.mcap"[..], "tab\\t.mcap"),
+        (&b"line\nbreak.mcap"[..], "line\\nbreak.mcap"),
+        (&b"one\x01.mcap"[..], "one\\u{1}.mcap"),
+    ] {
+        let folder = tempfile::tempdir().unwrap();
+        let text = folder.path().display().to_string();
+        let ways = [
+            text.clone(),
+            format!("{text}/*.mcap"),
+            format!("{text}/**/*.mcap"),
+        ];
+        let good = folder.path().join("good.mcap");
+        std::fs::write(&good, &log).unwrap();
+        std::fs::write(folder.path().join(OsStr::from_bytes(bad)), &log).unwrap();
+        for given in &ways {
+            let (rows, told) = found_at(given).await;
+            assert_eq!((rows, told.len()), (3, 1), "{given} {shown}: {told:?}");
+            let line = told[0].as_str();
+            assert!(
+                line.starts_with(&format!("{text}/{shown}: files")),
+                "{line}"
+            );
+            assert!(line.contains(said) && line.ends_with("rename it"), "{line}");
+            assert!(!line.contains(char::is_control), "{line:?}");
+        }
+        std::fs::remove_file(good).unwrap();
+        for given in ways {
+            let runtime = context(1).runtime_env();
+            let fault = Dataset::open(&runtime, &[given], None).await.unwrap_err();
+            let fault = fault.to_string();
+            assert!(fault.contains(said) && fault.contains(shown), "{fault}");
+        }
+    }
+}
+
+/// Names that would be shown as one, and a folder of such a name on the way.
+#[cfg(target_os = "linux")]
+#[tokio::test]
+async fn every_name_that_cannot_be_said_is_counted() {
+    use std::ffi::OsStr;
+    use std::os::unix::ffi::OsStrExt;
+
+    let log = file(&[channel(1, 0, "/t", "json"), messages(&[1], 3)], &[]);
+    let folder = tempfile::tempdir().unwrap();
+    let text = folder.path().display().to_string();
+    for (name, inner) in [&b"a"[..], b"d\xfe", b"d\xff"].iter().zip(["a", "b", "c"]) {
+        let folder = folder.path().join(OsStr::from_bytes(name));
+        std::fs::create_dir(&folder).unwrap();
+        std::fs::write(folder.join(inner).with_extension("mcap"), &log).unwrap();
+    }
+    for pattern in ["*/[abc].mcap", "*/*.mcap", "*"] {
+        let (rows, told) = found_at(&format!("{text}/{pattern}")).await;
+        assert_eq!((rows, told.len()), (3, 2), "{pattern}: {told:?}");
+    }
+}
+
 #[cfg(unix)]
 #[tokio::test]
 async fn sockets_are_no_logs() {
