@@ -480,6 +480,48 @@ fn messages_that_went_with_a_chunk_are_told_by_inspect_and_queries() {
     );
 }
 
+/// A key of metadata that comes twice takes the record out of queries, and `inspect` says so.
+#[test]
+fn damaged_metadata_is_told_by_inspect_and_queries() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("log.mcap");
+    let options = mcap::WriteOptions::new().calculate_data_section_crc(false);
+    let file = std::fs::File::create(&path).unwrap();
+    let mut log = options.create(file).unwrap();
+    let classes = [("1", "road"), ("2", "car")];
+    let classes = classes.map(|(value, name)| (value.to_owned(), name.to_owned()));
+    let metadata = mcap::records::Metadata {
+        name: "label_classes".to_owned(),
+        metadata: classes.into(),
+    };
+    log.write_metadata(&metadata).unwrap();
+    log.finish().unwrap();
+    let asked = ["sql", "--sessions", text(&path), "SELECT * FROM metadata"];
+    let told = evermap(&["inspect", text(&path)]).expect(0).stdout;
+    assert!(told.contains("metadata     label_classes"), "{told}");
+    evermap(&asked).expect(0);
+
+    let mut bytes = std::fs::read(&path).unwrap();
+    let second = b"\x01\0\0\x002";
+    let at = bytes.windows(5).position(|found| found == second);
+    bytes[at.unwrap() + 4] = b'1';
+    std::fs::write(&path, bytes).unwrap();
+    let said = "expected each key once, found \"1\" twice";
+    for asked in [
+        &["inspect", text(&path)][..],
+        &["inspect", "--quick", text(&path)],
+    ] {
+        let told = evermap(asked).expect(3).stdout;
+        assert!(told.contains("damaged attachments or metadata"), "{told}");
+        assert!(
+            told.contains(said) && !told.contains("metadata     label"),
+            "{told}"
+        );
+    }
+    let told = evermap(&asked).expect(3).stderr;
+    assert!(told.contains(said), "{told}");
+}
+
 /// A run reads all of a log for its digest, also what lies between messages.
 #[test]
 fn a_run_tells_of_a_flipped_bit_outside_chunks_and_remembers_it() {

@@ -201,6 +201,50 @@ async fn attachments_are_listed_in_less_memory_than_they_hold() {
     assert!(dataset.losses.is_empty(), "{:?}", dataset.losses.entries());
 }
 
+/// Who lists metadata says of what is damaged the same as who reads it.
+#[tokio::test]
+async fn damaged_metadata_is_counted_by_who_lists_it_and_by_who_reads_it() {
+    let entries = |texts: &[&[u8]]| {
+        let texts = texts.iter().flat_map(|bytes| text(bytes));
+        text(&texts.collect::<Vec<u8>>())
+    };
+    let metadata =
+        |name: &[u8], entries: &[u8]| record(12, &[text(name), entries.to_vec()].concat());
+    let classes: &[&[u8]] = &[b"1", b"road", b"2", b"car"];
+    let good = metadata(b"good", &entries(classes));
+    let twice = entries(&[b"1", b"road", b"2", b"car", b"1", b"tree"]);
+    let beyond = [&999_u32.to_le_bytes()[..], &entries(&[b"1", b"road"])[4..]].concat();
+    for (bad, said) in [
+        (
+            metadata(b"bad", &twice),
+            "expected each key once, found \"1\" twice",
+        ),
+        (
+            metadata(b"bad", &beyond),
+            "expected entries of at most 13 B, found a claim of 999 B",
+        ),
+        (
+            metadata(b"b\xff", &entries(classes)),
+            "expected a name in UTF-8, found another one behind \"b\"",
+        ),
+        (
+            metadata(b"bad", &entries(&[b"1", b"r\xff"])),
+            "expected a value in UTF-8, found another one behind \"r\"",
+        ),
+    ] {
+        let log = file(&[good.clone(), bad], &[]);
+        let (context, dataset) = opened(&log).await;
+        assert_eq!(count(&context, "SELECT * FROM metadata").await, 1);
+        let read = dataset.losses.entries();
+        let told: Vec<_> = read.iter().map(|e| (e.reason, &*e.detail)).collect();
+        assert_eq!(told, [(Reason::BadAttachment, said)]);
+        let (_, dataset) = opened(&log).await;
+        let names = dataset.parts()[0].metadata_names().await.unwrap();
+        assert_eq!(names, ["good"]);
+        assert_eq!(dataset.losses.entries(), read);
+    }
+}
+
 #[tokio::test]
 async fn a_torn_or_damaged_chunk_gives_the_messages_before_the_damage() {
     let mut state = 7_u64;
