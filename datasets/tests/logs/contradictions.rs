@@ -261,6 +261,24 @@ async fn frames_of_lz4_behind_each_other_are_one_chunk() {
 }
 
 #[tokio::test]
+async fn frames_of_lz4_that_hold_nothing_are_skipped_and_what_is_no_frame_is_counted() {
+    let inner = [channel(1, 0, "/t", "json"), messages(&[1], 3)].concat();
+    let frame = packed("lz4", &inner);
+    let nothing = [&[0x5A, 0x2A, 0x4D, 0x18, 4, 0, 0, 0][..], b"note"].concat();
+    let whole = (3, vec![]);
+    let damaged = (3, vec![(Reason::BadCompression, 1)]);
+    for (data, expected) in [
+        ([&nothing[..], &frame].concat(), &whole),
+        ([&frame[..], &nothing].concat(), &whole),
+        ([&frame[..], b"more"].concat(), &damaged),
+        (frame[..frame.len() - 4].to_vec(), &damaged),
+    ] {
+        let log = file(&[chunk(inner.len() as u64, "lz4", &data)], &[]);
+        assert_eq!(rows(&log, "/t").await, *expected);
+    }
+}
+
+#[tokio::test]
 async fn times_behind_the_last_instant_are_counted() {
     let definition = channel(1, 0, "/t", "json");
     let inner = [
