@@ -412,6 +412,7 @@ async fn a_file_that_is_no_log_is_lost_alone() {
 }
 
 /// What a folder and patterns find: rows of `/t`, and each file that cannot be read.
+#[cfg(target_os = "linux")]
 async fn found_at(given: &str) -> (usize, Vec<String>) {
     let context = context(1);
     let runtime = context.runtime_env();
