@@ -673,3 +673,65 @@ fn a_camera_whose_frame_looks_along_x_is_told() {
     assert_eq!(notes("link", [0.0, 0.0, 0.0, 1.0]), [true, true]);
     assert_eq!(notes("optical", [-0.5, 0.5, -0.5, 0.5]), [false, false]);
 }
+
+/// ROS 1's `static_transform_publisher`, and logs with one topic of transforms, send mounts again and again.
+#[test]
+fn a_mount_that_is_sent_again_and_again_is_fixed_and_a_camera_that_moves_once_is_told() {
+    let logs = Logs::new();
+    let plan = write_plan(&logs);
+    let sent = |x: f64| {
+        json!({
+            "parent_frame_id": "base_link", "child_frame_id": "front",
+            "translation": {"x": x, "y": 0.0, "z": 1.5},
+            "rotation": {"x": -0.5, "y": 0.5, "z": -0.5, "w": 0.5},
+        })
+    };
+    let odometry = |second: f64| {
+        json!({
+            "parent_frame_id": "odom", "child_frame_id": "base_link",
+            "translation": {"x": second, "y": 0.0, "z": 0.0},
+            "rotation": {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0},
+        })
+    };
+    let told = |name: &str, mounts: [f64; 3]| {
+        let mounts = mounts.map(sent).to_vec();
+        let moved = [0.0, 1.0, 2.0].map(odometry).to_vec();
+        let topics = [
+            ("/tf", TRANSFORM, [mounts, moved].concat()),
+            (
+                "/front/camera_info",
+                "sensor_msgs/CameraInfo",
+                vec![calibration([0; 4], &P)],
+            ),
+            ("/front/image", IMAGE, vec![image(false)]),
+        ];
+        let log = logs.write(name, &topics);
+        let inspected = evermap(&["inspect", text(&log)]).expect(0).stdout;
+        let checked = check(&plan, &log).expect(0).stderr;
+        let fixed = "SELECT child, parent_from_child['x'] AS x FROM transforms WHERE fixed";
+        (inspected, checked, query(&log, &[], fixed).expect(0).json())
+    };
+    let unmounted = "no fixed transform says where";
+    let (inspected, checked, fixed) = told("repeated.mcap", [1.0; 3]);
+    assert!(
+        inspected.contains("front (/front/image): mounted on base_link"),
+        "{inspected}"
+    );
+    assert!(!inspected.contains(unmounted), "{inspected}");
+    assert!(!checked.contains("transforms move"), "{checked}");
+    assert_eq!(fixed, json!([{"child": "front", "x": 1.0}]));
+    let (inspected, checked, fixed) = told("steered.mcap", [1.0, 1.0, 1.1]);
+    for said in [
+        "no fixed transform says where it is mounted: it moves in base_link",
+        "lacks transforms (step mounts): no fixed transform says where a camera is mounted",
+    ] {
+        assert!(inspected.contains(said), "{said}: {inspected}");
+    }
+    for said in [&inspected, &checked] {
+        assert!(
+            said.contains("found some that transforms move: front in base_link"),
+            "{said}"
+        );
+    }
+    assert_eq!(fixed, json!([]));
+}

@@ -166,13 +166,14 @@ fn roles(bytes: &[u8]) {
             image: Some(&image),
             cameras: &cameras,
             robot: &robot,
+            still: None,
             bits: None,
         })
         .collect();
     for role in roles::ALL.iter().filter_map(|role| role.messages()) {
         let _ = (role.read)(&messages);
-        if let Some(robots) = role.robots {
-            let _ = (robots.read)(&messages);
+        for ahead in [role.robots, role.still].into_iter().flatten() {
+            let _ = (ahead.read)(&messages);
         }
     }
 }
