@@ -288,6 +288,40 @@ fn images_of_fewer_bits_than_their_samples_are_counted() {
     assert!(told.contains(said), "{told}");
 }
 
+/// Range images whose topic does not speak of depth.
+#[test]
+fn pictures_of_floating_point_are_counted_and_told_with_what_a_manifest_may_say() {
+    let logs = Logs::new();
+    let metres: Vec<u8> = (0..SIDE * SIDE)
+        .flat_map(|at| (at as f32 * 0.001).to_le_bytes())
+        .collect();
+    let mut ranges = image(false);
+    ranges["encoding"] = json!("32FC1");
+    ranges["step"] = json!(4 * SIDE);
+    ranges["data"] = json!(base64(&metres));
+    let (found, told) = features(&logs, "ranges", ranges, 3);
+    assert_eq!(found, json!([]));
+    for said in [
+        "image of camera `front` (32FC1) does not decode: expected a picture, found samples of floating point",
+        "give their topic to `depth_frames`, and not to `frames`, by `roles` in a session manifest",
+    ] {
+        assert!(told.contains(said), "{said}: {told}");
+    }
+    let log = logs.path("ranges.mcap");
+    let inspected = evermap(&["inspect", text(&log)]).expect(0).stdout;
+    let checked = check(&logs.path("plan.yaml"), &log).expect(0).stderr;
+    for said in [inspected, checked] {
+        let note = "expected pictures, found samples of floating point (32FC1) on /front/image;";
+        assert!(said.contains(note), "{said}");
+    }
+    let manifest = logs.path("ranges.yaml");
+    std::fs::write(&manifest, "roles: { depth_frames: /front/image }\n").unwrap();
+    let depth = TOPICS.replace("FROM frames", "FROM depth_frames");
+    let found = query(&log, &["--manifest", text(&manifest)], &depth).expect(0);
+    let expected = json!([{"topic": "/front/image", "camera": "front", "format": "32FC1", "n": 1}]);
+    assert_eq!(found.json(), expected);
+}
+
 #[test]
 fn a_manifest_says_how_many_bits_samples_have() {
     let logs = Logs::new();

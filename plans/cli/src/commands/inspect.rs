@@ -25,7 +25,7 @@ use crate::printable::printable;
 use crate::quantity::of;
 use crate::sessions::lost;
 use crate::shipped;
-use crate::{camera_frames, odometry_frame, operators};
+use crate::{camera_frames, odometry_frame, operators, pictures};
 
 /// Says what a file holds, or writes a manifest of several. Every chunk is read, so that damage is found, unless only the index is asked for. Memory
 /// does not grow with the file.
@@ -68,8 +68,13 @@ pub async fn inspect(args: &InspectArgs) -> Ending {
         }
         None => Vec::new(),
     };
+    let of_pictures = match args.quick {
+        true => Vec::new(),
+        false => pictures::notes(&dataset).await?,
+    };
     let unchecked = (!args.quick).then(|| unchecked(&read)).flatten();
-    let notes = unchecked.into_iter().chain(notes).collect();
+    let notes = unchecked.into_iter().chain(notes).chain(of_pictures);
+    let notes = notes.collect();
     let unmounted = frames
         .as_ref()
         .is_some_and(CoordinateFrames::no_camera_is_mounted);
