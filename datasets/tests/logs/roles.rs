@@ -1,7 +1,7 @@
 //! A role is one descriptor: one that is made up here has a key in manifests, inference and a table like any other.
 #![allow(clippy::unwrap_used, clippy::panic)]
 
-use crate::common::by_hand::{self, channel, chunk, file, message, schema, transform, transforms};
+use crate::common::by_hand::{self, channel, file, message, schema, transform, transforms};
 use crate::common::{Log, context, count, in_memory, rows, text};
 use crate::hostile::{messages, opened};
 use datafusion::prelude::SessionContext;
@@ -292,18 +292,14 @@ async fn a_frame_that_no_transform_of_a_session_moves_is_fixed_and_has_one_row()
     });
     let messages = sent.zip(0_u32..);
     let messages = messages.map(|((frames, x), number)| transform(1, number, frames, x));
-    let messages: Vec<Vec<u8>> = messages.collect();
-    let chunks: Vec<Vec<u8>> = messages
-        .chunks(10)
-        .map(|inner| chunk(inner.concat().len() as u64, "", &inner.concat()))
-        .collect();
     let definitions = [
         transforms(1),
         channel(1, 1, "/tf", "json"),
         channel(2, 1, "/tf_static", "json"),
         transform(2, 0, ["base", "right"], 3.0),
     ];
-    let log = file(&[definitions.concat(), chunks.concat()], &[]);
+    let records: Vec<Vec<u8>> = definitions.into_iter().chain(messages).collect();
+    let log = file(&records, &[]);
     let (context, dataset) = opened_with(&log, "").await;
     for _ in 0..2 {
         let fixed = rows(

@@ -226,7 +226,7 @@ fn a_set_without_slow_cameras_waits_for_the_next_due_point_alone() {
     }
     let mut keyframer = Keyframer::new(KeyframeParams::default(), exposures);
     let mut early = Vec::new();
-    for message in 0..=250 {
+    for message in 0..=250_i64 {
         let x = message.min(50) as f64 * 0.021;
         early.extend(keyframer.push(message * S / 50, &Pose::from_yaw(x, 0.0, 0.0)));
     }
