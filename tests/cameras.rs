@@ -288,6 +288,40 @@ fn images_of_fewer_bits_than_their_samples_are_counted() {
     assert!(told.contains(said), "{told}");
 }
 
+/// Range images whose topic does not speak of depth.
+#[test]
+fn pictures_of_floating_point_are_counted_and_told_with_what_a_manifest_may_say() {
+    let logs = Logs::new();
+    let metres: Vec<u8> = (0..SIDE * SIDE)
+        .flat_map(|at| (at as f32 * 0.001).to_le_bytes())
+        .collect();
+    let mut ranges = image(false);
+    ranges["encoding"] = json!("32FC1");
+    ranges["step"] = json!(4 * SIDE);
+    ranges["data"] = json!(base64(&metres));
+    let (found, told) = features(&logs, "ranges", ranges, 3);
+    assert_eq!(found, json!([]));
+    for said in [
+        "image of camera `front` (32FC1) does not decode: expected a picture, found samples of floating point",
+        "give their topic to `depth_frames`, and not to `frames`, by `roles` in a session manifest",
+    ] {
+        assert!(told.contains(said), "{said}: {told}");
+    }
+    let log = logs.path("ranges.mcap");
+    let inspected = evermap(&["inspect", text(&log)]).expect(0).stdout;
+    let checked = check(&logs.path("plan.yaml"), &log).expect(0).stderr;
+    for said in [inspected, checked] {
+        let note = "expected pictures, found samples of floating point (32FC1) on /front/image;";
+        assert!(said.contains(note), "{said}");
+    }
+    let manifest = logs.path("ranges.yaml");
+    std::fs::write(&manifest, "roles: { depth_frames: /front/image }\n").unwrap();
+    let depth = TOPICS.replace("FROM frames", "FROM depth_frames");
+    let found = query(&log, &["--manifest", text(&manifest)], &depth).expect(0);
+    let expected = json!([{"topic": "/front/image", "camera": "front", "format": "32FC1", "n": 1}]);
+    assert_eq!(found.json(), expected);
+}
+
 #[test]
 fn a_manifest_says_how_many_bits_samples_have() {
     let logs = Logs::new();
@@ -672,4 +706,66 @@ fn a_camera_whose_frame_looks_along_x_is_told() {
     };
     assert_eq!(notes("link", [0.0, 0.0, 0.0, 1.0]), [true, true]);
     assert_eq!(notes("optical", [-0.5, 0.5, -0.5, 0.5]), [false, false]);
+}
+
+/// ROS 1's `static_transform_publisher`, and logs with one topic of transforms, send mounts again and again.
+#[test]
+fn a_mount_that_is_sent_again_and_again_is_fixed_and_a_camera_that_moves_once_is_told() {
+    let logs = Logs::new();
+    let plan = write_plan(&logs);
+    let sent = |x: f64| {
+        json!({
+            "parent_frame_id": "base_link", "child_frame_id": "front",
+            "translation": {"x": x, "y": 0.0, "z": 1.5},
+            "rotation": {"x": -0.5, "y": 0.5, "z": -0.5, "w": 0.5},
+        })
+    };
+    let odometry = |second: f64| {
+        json!({
+            "parent_frame_id": "odom", "child_frame_id": "base_link",
+            "translation": {"x": second, "y": 0.0, "z": 0.0},
+            "rotation": {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0},
+        })
+    };
+    let told = |name: &str, mounts: [f64; 3]| {
+        let mounts = mounts.map(sent).to_vec();
+        let moved = [0.0, 1.0, 2.0].map(odometry).to_vec();
+        let topics = [
+            ("/tf", TRANSFORM, [mounts, moved].concat()),
+            (
+                "/front/camera_info",
+                "sensor_msgs/CameraInfo",
+                vec![calibration([0; 4], &P)],
+            ),
+            ("/front/image", IMAGE, vec![image(false)]),
+        ];
+        let log = logs.write(name, &topics);
+        let inspected = evermap(&["inspect", text(&log)]).expect(0).stdout;
+        let checked = check(&plan, &log).expect(0).stderr;
+        let fixed = "SELECT child, parent_from_child['x'] AS x FROM transforms WHERE fixed";
+        (inspected, checked, query(&log, &[], fixed).expect(0).json())
+    };
+    let unmounted = "no fixed transform says where";
+    let (inspected, checked, fixed) = told("repeated.mcap", [1.0; 3]);
+    assert!(
+        inspected.contains("front (/front/image): mounted on base_link"),
+        "{inspected}"
+    );
+    assert!(!inspected.contains(unmounted), "{inspected}");
+    assert!(!checked.contains("transforms move"), "{checked}");
+    assert_eq!(fixed, json!([{"child": "front", "x": 1.0}]));
+    let (inspected, checked, fixed) = told("steered.mcap", [1.0, 1.0, 1.1]);
+    for said in [
+        "no fixed transform says where it is mounted: it moves in base_link",
+        "lacks transforms (step mounts): no fixed transform says where a camera is mounted",
+    ] {
+        assert!(inspected.contains(said), "{said}: {inspected}");
+    }
+    for said in [&inspected, &checked] {
+        assert!(
+            said.contains("found some that transforms move: front in base_link"),
+            "{said}"
+        );
+    }
+    assert_eq!(fixed, json!([]));
 }

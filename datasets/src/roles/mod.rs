@@ -10,6 +10,7 @@ mod cameras;
 mod mounts;
 pub(crate) mod robots;
 mod rows;
+mod still;
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -35,6 +36,7 @@ use cameras::Cameras;
 use mounts::Mounts;
 use robots::RobotOf;
 use rows::{Known, Meant, RoleRows};
+use still::StillOf;
 
 /// Topics that play a role, by session.
 type Topics = BTreeMap<Arc<str>, Vec<String>>;
@@ -60,6 +62,9 @@ pub(crate) fn table(role: &Role, sessions: &[Session]) -> Result<Arc<dyn TablePr
             robots: messages
                 .robots
                 .map(|robots| RobotOf::new(*robots, role.name, sessions)),
+            still: messages
+                .still
+                .map(|sent| StillOf::new(*sent, role.name, sessions)),
         }),
         Source::Metadata(played) => Arc::new(RecordTable::of_metadata(
             role.name,
@@ -194,6 +199,8 @@ struct MessageRole {
     names: CameraTopics,
     /// For a role whose rows are of one robot.
     robots: Option<RobotOf>,
+    /// For a role of transforms.
+    still: Option<StillOf>,
 }
 
 /// What cameras are called, read when it is first asked. Calibrations may lie in other files than the frames they name.
@@ -263,6 +270,10 @@ impl LogTable for MessageRole {
             robot: match &self.robots {
                 Some(robots) => robots.of(&part.session).await?,
                 None => Meant::default(),
+            },
+            still: match &self.still {
+                Some(still) => Some(still.of(&part.session).await?),
+                None => None,
             },
             mounts: self.mounts.get(&part.session).cloned(),
             bits: self.bits.get(&part.session).cloned().unwrap_or_default(),

@@ -8,7 +8,8 @@ use arrow::array::{RecordBatch, StructArray};
 use arrow::datatypes::{Field, SchemaRef};
 use evermap_messages::{Decoder, MessageType};
 use evermap_schemas::roles::{
-    CameraNames, Fields, FoundImage, FromMessage, Message, Messages, Motion, OdometryOf, ZeroStamp,
+    CameraNames, Fields, FoundImage, FromMessage, Message, Messages, Motion, OdometryOf,
+    StillFrames, ZeroStamp,
 };
 use evermap_schemas::{Fault, ImageRef, Stamp};
 
@@ -39,6 +40,8 @@ pub(crate) struct Known {
     pub robot: Meant,
     /// How many bits samples of its pictures have, by topic, where a person says so.
     pub bits: TopicBits,
+    /// The frames that never move, though topics of moving transforms have them.
+    pub still: Option<Arc<StillFrames>>,
     /// What it has said of frames that are fixed.
     pub mounts: Option<Arc<Mounts>>,
 }
@@ -240,6 +243,7 @@ impl RowBuilder for RoleRows {
                 cameras: &self.known.cameras,
                 bits: self.known.bits.get(&self.topics[*topic].topic).copied(),
                 robot: &self.known.robot.odometry,
+                still: self.known.still.as_deref(),
             })
             .collect();
         let read = (self.role.read)(&messages)?;

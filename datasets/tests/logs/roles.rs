@@ -276,6 +276,59 @@ async fn transforms_that_move_the_vehicle_in_another_frame_are_counted() {
     assert_eq!(ahead(&chain, "").await.unwrap(), [0.0, 2.0, 4.0]);
 }
 
+/// Drivers that know no `/tf_static` send mounts again and again on `/tf`.
+#[tokio::test]
+async fn a_frame_that_no_transform_of_a_session_moves_is_fixed_and_has_one_row() {
+    let sent = (0..6_u32).flat_map(|turn| {
+        let ahead = f64::from(turn);
+        let steered = if turn == 5 { 2.001 } else { 2.0 };
+        [
+            (["base", "left"], 1.0),
+            (["odom", "base"], ahead),
+            (["map", "odom"], 5.0),
+            (["base", "steered"], steered),
+            (["/base", "/right"], 3.0),
+        ]
+    });
+    let messages = sent.zip(0_u32..);
+    let messages = messages.map(|((frames, x), number)| transform(1, number, frames, x));
+    let definitions = [
+        transforms(1),
+        channel(1, 1, "/tf", "json"),
+        channel(2, 1, "/tf_static", "json"),
+        transform(2, 0, ["base", "right"], 3.0),
+    ];
+    let records: Vec<Vec<u8>> = definitions.into_iter().chain(messages).collect();
+    let log = file(&records, &[]);
+    let (context, dataset) = opened_with(&log, "").await;
+    for _ in 0..2 {
+        let fixed = rows(
+            &context,
+            "SELECT * FROM transforms WHERE fixed ORDER BY child",
+        )
+        .await;
+        let fixed = fixed
+            .iter()
+            .flat_map(|batch| typed::<roles::Transform>(batch).unwrap());
+        let fixed: Vec<_> = fixed
+            .map(|row| (row.parent, row.child, row.parent_from_child.x))
+            .collect();
+        let mount = |child: &str, x: f64| ("base".to_owned(), child.to_owned(), x);
+        assert_eq!(fixed, [mount("left", 1.0), mount("right", 3.0)]);
+    }
+    for (child, sent) in [
+        ("left", 1),
+        ("base", 6),
+        ("odom", 6),
+        ("steered", 6),
+        ("right", 7),
+    ] {
+        let of_child = format!("SELECT * FROM transforms WHERE child = '{child}'");
+        assert_eq!(count(&context, &of_child).await, sent, "{child}");
+    }
+    assert!(dataset.losses.is_empty());
+}
+
 #[tokio::test]
 async fn other_poses_go_before_transforms_that_move_no_vehicle() {
     const POSE: &[u8] =

@@ -203,6 +203,9 @@ fn png(bytes: &[u8], header: &Header) -> Result<Pixels, ImageError> {
     Pixels::lit(colour.samples(), stored)
 }
 
+/// The first letters of a portable float map of one channel, as which raw images of floating point come.
+pub(crate) const PORTABLE_FLOAT_MAP: &[u8] = b"Pf";
+
 pub(crate) struct Header {
     pub(crate) format: &'static str,
     pub(crate) width: u32,
@@ -221,6 +224,9 @@ impl Header {
 /// What the first bytes say, checked against [`crate::MAX_PIXELS`] before a decoder sees them.
 pub(crate) fn header(bytes: &[u8]) -> Result<Header, ImageError> {
     let unknown = |found: String| ImageError::Format { found };
+    if bytes.starts_with(PORTABLE_FLOAT_MAP) {
+        return Err(ImageError::Float);
+    }
     let kind = imagesize::image_type(bytes).map_err(|_| unknown(first_bytes(bytes)))?;
     let format = match kind {
         ImageType::Jpeg => "jpeg",

@@ -121,6 +121,11 @@ pub enum ImageError {
         /// The most that as many bits hold as the largest value has.
         most: u16,
     },
+    /// Samples of floating point, as raw range images have them: no picture.
+    #[error(
+        "expected a picture, found samples of floating point, as range images have; give their topic to `depth_frames`, and not to `frames`, by `roles` in a session manifest"
+    )]
+    Float,
     /// An image of which the stored values are wanted does not store one value per pixel.
     #[error("expected a png or pgm with one value per pixel, found {found}")]
     Values {
@@ -133,6 +138,23 @@ pub enum ImageError {
         /// OpenCV's words.
         message: String,
     },
+}
+
+impl ImageError {
+    /// Why, in words that tell no image from others of its kind: a few sentences, under which images can be counted.
+    pub fn kind(&self) -> String {
+        match self {
+            Self::Format { .. } => {
+                "expected a jpeg, png or pnm image; record images as JPEG or PNG".to_owned()
+            }
+            Self::Size { .. } => format!("expected 1 to {MAX_PIXELS} pixels"),
+            Self::Damaged { format, .. } => format!("{format} image is truncated or damaged"),
+            Self::Scans { .. } => format!("expected a jpeg of at most {MAX_SCANS} scans"),
+            Self::Values { .. } => "expected one value per pixel".to_owned(),
+            Self::OpenCv { .. } => "OpenCV refuses it".to_owned(),
+            Self::Faint { .. } | Self::Float => self.to_string(),
+        }
+    }
 }
 
 impl From<opencv::Error> for ImageError {

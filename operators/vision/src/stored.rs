@@ -8,7 +8,7 @@ use std::io::Cursor;
 
 use png::{BitDepth, ColorType, Limits, Transformations};
 
-use crate::decode::{Header, decodable};
+use crate::decode::{Header, PORTABLE_FLOAT_MAP, decodable};
 use crate::grey::checked_pixels;
 use crate::{Grey, Grey16, ImageError};
 
@@ -20,7 +20,7 @@ use crate::{Grey, Grey16, ImageError};
 /// [`ImageError`] for bytes that are no PNG, PGM or grey PFM, an image in colour or with transparency, one that is too
 /// large, cut off or damaged.
 pub fn decode_depth(bytes: &[u8]) -> Result<Grey16, ImageError> {
-    if let Some(numbers) = bytes.strip_prefix(b"Pf") {
+    if let Some(numbers) = bytes.strip_prefix(PORTABLE_FLOAT_MAP) {
         return pfm_depth(numbers, bytes.len());
     }
     let (inverse, bytes) = InverseDepth::before(bytes);

@@ -247,6 +247,28 @@ fn formats_whose_decoders_nobody_fuzzes_are_refused() {
     }
 }
 
+/// A log's losses are counted by these sentences: they must be few, whatever the bytes are.
+#[test]
+fn why_an_image_is_refused_is_told_in_words_that_are_the_same_for_its_kind() {
+    let floats = |values: [f32; 2]| {
+        let values = values.map(f32::to_le_bytes).concat();
+        [&b"Pf\n2 1\n-1.0\n"[..], &values].concat()
+    };
+    let cut = |bytes: usize| jpeg_of(&sample(64, 48))[..bytes].to_vec();
+    let said = |bytes: &[u8]| decode(bytes).unwrap_err().kind();
+    for (one, other, expected) in [
+        (floats([0.5, 1.0]), floats([2.0, 3.0]), "`depth_frames`"),
+        (bmp(), vec![1, 2, 3], "expected a jpeg, png or pnm image"),
+        (cut(300), cut(301), "jpeg image is truncated"),
+    ] {
+        assert_eq!(said(&one), said(&other));
+        assert!(said(&one).contains(expected), "{}", said(&one));
+    }
+    let floats = floats([0.5, 1.0]);
+    assert!(matches!(image_size(&floats), Err(ImageError::Float)));
+    assert_eq!(decode_depth(&floats).unwrap().data, [500, 1000]);
+}
+
 /// A few bytes claim 128 megapixels.
 #[test]
 fn a_jpeg_that_cannot_hold_its_pixels_is_refused() {

@@ -1,14 +1,16 @@
-//! Frames of cameras: those that are not optical, whose images are read as if they were.
+//! Frames of cameras: those that are not optical, whose images are read as if they were, and those that move.
 
 use std::collections::{BTreeMap, BTreeSet};
 
+use datafusion::prelude::SessionContext;
 use evermap_algorithms::geometry::pose::Pose;
 use evermap_datasets::Dataset;
+use evermap_engine::quoted;
 use evermap_engine::sql::{Limits, context};
 use evermap_schemas::Fault;
-use evermap_schemas::roles::{CameraMount, Transform};
+use evermap_schemas::roles::{CameraMount, Transform, frame_names};
 
-use crate::coordinate_frames::cameras_of;
+use crate::coordinate_frames::{TRANSFORMS, cameras_of, texts_of};
 use crate::odometry_frame::{LOOKED_AT, fixed_transforms, tied};
 
 /// The cameras of a session are known after so many images.
@@ -18,7 +20,7 @@ const IMAGES: usize = 64;
 const STEEP: f64 = 0.866;
 
 /// What a person is told of the first [`LOOKED_AT`] sessions that have a camera whose frame looks along x, as its z axis goes
-/// up. Cameras that name the frame of another one are counted as these are read.
+/// up, or that moves on the vehicle. Cameras that name the frame of another one are counted as these are read.
 ///
 /// # Errors
 /// A fault of ours.
@@ -35,16 +37,56 @@ pub async fn notes(dataset: &Dataset, vehicle: &str) -> Result<Vec<String>, Faul
         dataset.register(&context)?;
         // What cannot be read of a log is told where its rows are read.
         let cameras = cameras_of(&context, &session.name, IMAGES).await;
+        let cameras = cameras.unwrap_or_default();
         let transforms = fixed_transforms(&context, &session.name).await;
-        let found = not_optical(
-            &transforms.unwrap_or_default(),
-            &cameras.unwrap_or_default(),
-            &dataset.camera_mounts().await.unwrap_or_default(),
-            vehicle,
-        );
+        let transforms = transforms.unwrap_or_default();
+        let moving = moving_transforms(&context, &session.name).await;
+        let mounts = dataset.camera_mounts().await.unwrap_or_default();
+        let found = [
+            not_optical(&transforms, &cameras, &mounts, vehicle),
+            unfixed(&transforms, &moving.unwrap_or_default(), &cameras, &mounts),
+        ];
+        let found = found.into_iter().flatten();
         notes.extend(found.map(|note| format!("session {}: {note}", session.name)));
     }
     Ok(notes)
+}
+
+/// Parents and children of the transforms of a session that move, of its first [`TRANSFORMS`].
+async fn moving_transforms(
+    context: &SessionContext,
+    session: &str,
+) -> Result<Vec<[String; 2]>, Fault> {
+    let session = quoted::text(session);
+    let moving = format!(
+        "SELECT DISTINCT parent, child FROM (SELECT * FROM transforms WHERE session = {session} LIMIT {TRANSFORMS}) \
+         WHERE NOT fixed ORDER BY parent, child"
+    );
+    texts_of(context, &moving).await
+}
+
+/// That cameras move on the vehicle, and which.
+fn unfixed(
+    fixed: &[Transform],
+    moving: &[[String; 2]],
+    cameras: &BTreeSet<String>,
+    mounts: &BTreeMap<String, CameraMount>,
+) -> Option<String> {
+    let moves = |camera: &String| {
+        let frame = mounts.get(camera).map_or(camera, |mount| &mount.frame);
+        let frame = frame_names::plain(frame);
+        let is_fixed = fixed.iter().any(|found| found.child == frame);
+        let [parent, _] = moving.iter().find(|[_, child]| child == frame)?;
+        (!is_fixed).then(|| format!("{camera} in {parent}"))
+    };
+    let moving: Vec<String> = cameras.iter().filter_map(moves).collect();
+    (!moving.is_empty()).then(|| {
+        format!(
+            "expected cameras that are fixed to the vehicle, found some that transforms move: {}; their images are left \
+             out of maps",
+            moving.join(", ")
+        )
+    })
 }
 
 /// That cameras look along axes that go up on the vehicle, by their frames or by where they are mounted in others, and
@@ -104,6 +146,35 @@ mod tests {
             },
             fixed: true,
         }
+    }
+
+    #[test]
+    fn cameras_that_move_are_told_and_those_that_are_fixed_or_nowhere_are_not() {
+        let fixed = [mounted("rear", [0.0, 0.0, 0.0, 1.0])];
+        let moving = [
+            ["base_link", "front"],
+            ["base_link", "gimbal"],
+            ["odom", "base_link"],
+        ];
+        let moving = moving.map(|frames| frames.map(str::to_owned));
+        let cameras = BTreeSet::from(["/front", "rear", "top", "pair/right"].map(str::to_owned));
+        let mount = CameraMount {
+            frame: "gimbal".to_owned(),
+            frame_from_camera: Placed::IDENTITY,
+        };
+        let mounts = BTreeMap::from([("pair/right".to_owned(), mount)]);
+        let said = unfixed(&fixed, &moving, &cameras, &mounts).unwrap_or_default();
+        let found = "move: /front in base_link, pair/right in base_link; their images";
+        assert!(said.contains(found), "{said}");
+        assert_eq!(
+            unfixed(
+                &fixed,
+                &moving,
+                &BTreeSet::from(["rear".to_owned()]),
+                &mounts
+            ),
+            None
+        );
     }
 
     #[test]

@@ -114,6 +114,8 @@ pub struct PlanLine {
     pub lacks: Option<BTreeMap<String, String>>,
     /// Roles that it lacks, though it makes something of the file: nothing comes of the steps that need them.
     pub without: Vec<&'static str>,
+    /// Whether it needs to know where cameras are mounted, and no transform says so of any.
+    pub unmounted: bool,
 }
 
 /// An attachment.
@@ -153,6 +155,10 @@ impl PlanLine {
             None => format!(
                 "can run in part: nothing comes of steps that need {}",
                 self.without.join(", ")
+            ),
+            Some(lacks) if self.unmounted => format!(
+                "lacks {}: no fixed transform says where a camera is mounted",
+                in_words(lacks)
             ),
             Some(lacks) => format!("lacks {}", in_words(lacks)),
         }

@@ -50,6 +50,8 @@ pub struct Camera {
     pub topic: String,
     /// The frame that fixed transforms lead to from the camera; null where none begins at it.
     pub mounted_on: Option<String>,
+    /// The frame that the camera moves in, where no fixed transform begins at it; null where none has it either.
+    pub moves_in: Option<String>,
 }
 
 impl CoordinateFrames {
@@ -81,8 +83,10 @@ impl CoordinateFrames {
         let cameras = texts_of(context, &cameras).await?.into_iter();
         let cameras = cameras.map(|[camera, topic]| {
             let of_camera = mounts.get(&camera).map_or(&camera, |mount| &mount.frame);
+            let of_camera = frame(of_camera);
             Camera {
-                mounted_on: mounted_on(&transforms, &frame(of_camera)),
+                mounted_on: mounted_on(&transforms, &of_camera),
+                moves_in: moves_in(&transforms, &of_camera),
                 camera,
                 topic,
             }
@@ -126,6 +130,12 @@ impl CoordinateFrames {
         })
     }
 
+    /// Whether there are cameras, and no transform says of any where it is mounted: nothing becomes of their images.
+    pub fn no_camera_is_mounted(&self) -> bool {
+        let mut cameras = self.cameras.iter();
+        !self.cameras.is_empty() && cameras.all(|camera| camera.mounted_on.is_none())
+    }
+
     /// All names of frames.
     pub fn names(&self) -> BTreeSet<&str> {
         let transforms = self.transforms.iter();
@@ -145,9 +155,15 @@ impl fmt::Display for Transform {
 impl fmt::Display for Camera {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(f, "{} ({}): ", self.camera, self.topic)?;
-        match &self.mounted_on {
-            Some(frame) => write!(f, "mounted on {frame}"),
-            None => f.write_str("no fixed transform says where it is mounted"),
+        match (&self.mounted_on, &self.moves_in) {
+            (Some(frame), _) => write!(f, "mounted on {frame}"),
+            (None, Some(frame)) => {
+                write!(
+                    f,
+                    "no fixed transform says where it is mounted: it moves in {frame}"
+                )
+            }
+            (None, None) => f.write_str("no fixed transform says where it is mounted"),
         }
     }
 }
@@ -175,6 +191,13 @@ fn mounted_on(transforms: &[Transform], frame: &str) -> Option<String> {
         at = next;
     }
     Some(at.parent.clone())
+}
+
+/// The frame that another one, which no fixed transform begins at, moves in.
+fn moves_in(transforms: &[Transform], frame: &str) -> Option<String> {
+    // Fixed ones come first.
+    let first = transforms.iter().find(|found| found.child == frame)?;
+    (!first.fixed).then(|| first.parent.clone())
 }
 
 /// The cameras of a session, by name, of its first so many images.
@@ -261,6 +284,7 @@ mod tests {
             camera: (*camera).to_owned(),
             topic: String::new(),
             mounted_on: mounted_on(&transforms, camera),
+            moves_in: moves_in(&transforms, camera),
         });
         CoordinateFrames {
             cameras: cameras.collect(),
@@ -286,6 +310,27 @@ mod tests {
         let expected = [Some("chassis"), Some("chassis"), Some("gimbal"), None];
         assert_eq!(mounts.collect::<Vec<_>>(), expected);
         assert_eq!(rig.vehicle(), Some("chassis"));
+        assert!(!rig.no_camera_is_mounted());
+    }
+
+    #[test]
+    fn a_camera_that_moves_on_the_vehicle_is_mounted_nowhere() {
+        let steered = vec![
+            transform("chassis", "rear", true),
+            transform("chassis", "front", false),
+            transform("mast", "rear", false),
+        ];
+        let rig = frames(steered, &["front", "rear", "up"]);
+        let said: Vec<String> = rig.cameras.iter().map(ToString::to_string).collect();
+        let expected = [
+            "front (): no fixed transform says where it is mounted: it moves in chassis",
+            "rear (): mounted on chassis",
+            "up (): no fixed transform says where it is mounted",
+        ];
+        assert_eq!(said, expected);
+        let alone = frames(vec![transform("chassis", "front", false)], &["front"]);
+        assert!(alone.no_camera_is_mounted());
+        assert!(!frames(Vec::new(), &[]).no_camera_is_mounted());
     }
 
     #[test]

@@ -80,6 +80,7 @@ fn is_no_fix(fields: Fields<'_>) -> bool {
         cameras: &CameraNames::default(),
         bits: None,
         robot: &OdometryOf::default(),
+        still: None,
     };
     GnssFix::from_message(&message).is_ok_and(|rows| rows.is_empty())
 }

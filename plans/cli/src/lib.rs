@@ -35,6 +35,7 @@ mod moved;
 mod odometry_frame;
 mod operators;
 pub mod output;
+mod pictures;
 mod printable;
 mod progress;
 mod prompt;

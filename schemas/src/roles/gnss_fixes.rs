@@ -140,6 +140,7 @@ mod tests {
             cameras: &CameraNames::default(),
             bits: None,
             robot: &OdometryOf::default(),
+            still: None,
         };
         GnssFix::from_message(&message).map(|rows| rows.len())
     }

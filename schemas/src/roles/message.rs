@@ -10,7 +10,7 @@ use arrow::datatypes::{
     UInt16Type, UInt32Type, UInt64Type,
 };
 
-use crate::roles::{CameraNames, OdometryOf, SampleBits, ZeroStamp, frame_names};
+use crate::roles::{CameraNames, OdometryOf, SampleBits, StillFrames, ZeroStamp, frame_names};
 use crate::{Fault, ImageRef, LayerRow, Pose, Stamp};
 
 /// A row that comes from messages.
@@ -76,6 +76,8 @@ pub struct Message<'a> {
     pub bits: Option<SampleBits>,
     /// The odometry that is meant, of those among transforms; for roles that have one robot's rows.
     pub robot: &'a OdometryOf,
+    /// The frames that never move, though topics of moving transforms have them; for roles of transforms.
+    pub still: Option<&'a StillFrames>,
 }
 
 /// Where an image's bytes lie, and the first of them, where its format must be guessed.

@@ -19,6 +19,7 @@ pub mod robots;
 mod role;
 mod stamps;
 mod stereo;
+mod still;
 
 pub use cameras::CameraNames;
 pub use message::{FARTHEST_M, Fields, FoundImage, FromMessage, Message, Read};
@@ -27,6 +28,7 @@ pub use raw_format::{BIG_ENDIAN, RawFormat, SampleBits};
 pub use role::{Choice, Messages, Metadata, Role, Source, Topic, UNTYPED, every, in_words};
 pub use stamps::ZeroStamp;
 pub use stereo::{CAMERA_FRAMES, CAMERAS, CalibratedCamera, CalibratedFrame, CameraMount};
+pub use still::{SentTransform, StillFrames};
 
 macro_rules! roles {
     ($($file:ident),+ $(,)?) => {

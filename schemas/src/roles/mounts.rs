@@ -38,7 +38,7 @@ impl Mount {
 }
 
 /// How far poses are from each other, in metres and degrees; `None` where they are the same.
-fn apart(one: &Pose, two: &Pose) -> Option<(f64, f64)> {
+pub(super) fn apart(one: &Pose, two: &Pose) -> Option<(f64, f64)> {
     let [one, two] = [one, two].map(Pose::to_array);
     let ([x, y, z, q @ ..], [ox, oy, oz, o @ ..]) = (one, two);
     // A quaternion and its opposite turn alike.

@@ -52,6 +52,9 @@ pub struct Messages {
     /// Where its topics may tell of several robots and the table is of one: how messages become
     /// [`Motion`](super::Motion)s.
     pub robots: Option<&'static Messages>,
+    /// Where rows of topics that may move are of what never does in a session: how messages become
+    /// [`SentTransform`](super::SentTransform)s, which tell.
+    pub still: Option<&'static Messages>,
     /// The frames that a message says are fixed, which the others of its session must not contradict.
     pub mounts: Option<fn(&Message<'_>) -> Vec<Mount>>,
     /// From messages to rows.
@@ -72,6 +75,7 @@ impl Messages {
             lasting: false,
             shared: false,
             robots: None,
+            still: None,
             mounts: None,
             read: crate::roles::message::read::<T>,
         }

@@ -274,6 +274,7 @@ mod tests {
                 cameras: &cameras,
                 bits: None,
                 robot: &robot,
+                still: None,
             };
             message.stamp()
         };

@@ -1,6 +1,8 @@
 //! Transforms between frames, as `/tf` and `/tf_static` publish them.
 
-use crate::roles::{Fields, FromMessage, Message, Messages, Mount, Role, frame_names};
+use crate::roles::{
+    Fields, FromMessage, Message, Messages, Mount, Role, SentTransform, frame_names,
+};
 use crate::{Pose, Stamp, record};
 
 record! {
@@ -19,7 +21,8 @@ record! {
         child: String,
         /// The transform.
         parent_from_child: Pose,
-        /// True where it holds for all time (`/tf_static`).
+        /// True where it holds for all time: on `/tf_static`, or of a frame that no transform of the session moves, which
+        /// then has its first row alone.
         fixed: bool,
     }
 }
@@ -28,8 +31,11 @@ record! {
 pub const ROLE: Role = Role::of::<Transform>(Messages {
     lasting: true,
     mounts: Some(mounts),
+    still: Some(&SENT),
     ..Messages::of::<Transform>(TYPES)
 });
+
+const SENT: Messages = Messages::of::<SentTransform>(TYPES);
 
 /// The member of a message that has several transforms, each with a header of its own.
 pub(super) const TRANSFORMS: &str = "transforms";
@@ -59,7 +65,12 @@ impl FromMessage for Transform {
 
     fn from_message(message: &Message<'_>) -> Result<Vec<Self>, String> {
         let all = all(message).ok_or("expected a transform")?;
-        all.into_iter().collect()
+        let rows: Vec<Self> = all.into_iter().collect::<Result<_, _>>()?;
+        let Some(still) = message.still else {
+            return Ok(rows);
+        };
+        let settled = |row| still.settled(row, message.log_time);
+        Ok(rows.into_iter().filter_map(settled).collect())
     }
 }
 

@@ -178,12 +178,13 @@ fn roles(bytes: &[u8]) {
             cameras: &cameras,
             robot: &robot,
             bits,
+            still: None,
         })
         .collect();
     for role in roles::ALL.iter().filter_map(|role| role.messages()) {
         let _ = (role.read)(&messages);
-        if let Some(robots) = role.robots {
-            let _ = (robots.read)(&messages);
+        for ahead in [role.robots, role.still].into_iter().flatten() {
+            let _ = (ahead.read)(&messages);
         }
     }
 }

@@ -126,7 +126,8 @@ impl Projector {
         bytes: &'a [u8],
     ) -> Result<(&'a [u8], Arc<GroundLut>), Reason> {
         let size = image_size(bytes);
-        let size = size.map_err(|_| undecoded(&image.camera, &image.image.format))?;
+        let undecoded = || undecoded(&image.camera, &image.image.format);
+        let size = size.map_err(|error| left_out(&error, undecoded()))?;
         let named = (&*image.session, &*image.camera, image.stamp);
         let table = self.tables.get(named, size, |mounted| {
             let body = self

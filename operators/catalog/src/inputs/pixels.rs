@@ -19,12 +19,9 @@ pub(crate) fn undecoded(camera: &str, encoding: &str) -> Reason {
     }
 }
 
-/// Why an image is left out that gives this error; `undecoded` is what is said of most of them.
+/// Why an image is left out that gives this error; `undecoded` names it.
 pub(crate) fn left_out(error: &ImageError, undecoded: Reason) -> Reason {
-    match error {
-        ImageError::Faint { .. } => format!("{undecoded}: {error}").into(),
-        _ => undecoded,
-    }
+    format!("{undecoded}: {}", error.kind()).into()
 }
 
 /// An encoded image in colour; `room` holds it, and `undecoded` says why it is left out.

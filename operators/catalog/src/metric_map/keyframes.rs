@@ -14,7 +14,7 @@ pub struct Keyframes;
 
 impl Operator for Keyframes {
     const NAME: &'static str = "keyframes";
-    const VERSION: u32 = 4;
+    const VERSION: u32 = 5;
     const PAGE: &'static str = include_str!("keyframes.md");
     type Params = KeyframeParams;
     type Output = Keyframe;

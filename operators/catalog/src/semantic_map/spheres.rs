@@ -11,7 +11,7 @@ use evermap_vision::{decode_depth, image_size};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::inputs::pixels::undecoded;
+use crate::inputs::pixels::{left_out, undecoded};
 use crate::inputs::rig::{self, Rig, frame};
 
 /// See the module's page.
@@ -78,7 +78,8 @@ impl Site {
 
     fn sphere(&self, row: Frame, image: &[u8], _: &mut ()) -> Result<[SphereView; 1], Reason> {
         let size = image_size(image);
-        let [width, height] = size.map_err(|_| undecoded(&row.camera, &row.image.format))?;
+        let undecoded = || undecoded(&row.camera, &row.image.format);
+        let [width, height] = size.map_err(|error| left_out(&error, undecoded()))?;
         let key = (row.session, row.camera, row.stamp);
         let range = self.range.get(&key).ok_or("view has no range image")?;
         let (session, camera, stamp) = key;

@@ -174,6 +174,37 @@ fn cameras_out_of_step_share_a_set_within_the_gap_only() {
 }
 
 #[test]
+fn a_faster_camera_takes_no_image_from_the_slower_ones() {
+    let slow = ["left", "rear", "right"];
+    let shots = |camera: &'static str, first: i64, period: i64| {
+        let stamps = (0..).map(move |shot| first + shot * period);
+        let stamps = stamps.take_while(|ms| *ms < 10_000);
+        stamps.map(move |ms| frame(camera, ms * MS))
+    };
+    let images_with_front_every = |period: i64| {
+        let of_slow = slow.into_iter().flat_map(|camera| shots(camera, 11, 100));
+        let frames = of_slow.chain(shots("front", 3, period));
+        let (found, losses) = keyframes(drive(2.6, 10.0), frames.collect());
+        assert!(losses.is_empty(), "{losses:?}");
+        let mut images = BTreeMap::<String, usize>::new();
+        for image in found.into_iter().flat_map(|keyframe| keyframe.images) {
+            *images.entry(image.camera).or_default() += 1;
+        }
+        images
+    };
+    let one_rate = images_with_front_every(100);
+    assert_eq!(one_rate["left"], 100);
+    for (period, front) in [(40, 128), (80, 95)] {
+        let images = images_with_front_every(period);
+        for camera in slow {
+            let (found, least) = (images[camera], one_rate[camera] - 1);
+            assert!(found >= least, "{camera}: {found} at {period} ms");
+        }
+        assert!(images["front"] >= front, "{images:?} at {period} ms");
+    }
+}
+
+#[test]
 fn bad_rows_are_counted() {
     let mut rows = drive(0.5, 2.0);
     rows[10].odom_from_vehicle.x = f64::NAN;

@@ -21,7 +21,7 @@ use crate::progress::line;
 use crate::quantity::of;
 use crate::sessions::{lost, open};
 use crate::shipped;
-use crate::{camera_frames, fixes, masks, odometry_frame, operators};
+use crate::{camera_frames, fixes, masks, odometry_frame, operators, pictures};
 
 /// Checks a plan.
 ///
@@ -44,8 +44,13 @@ pub async fn check(args: &PlanArgs) -> Ending {
         true => camera_frames::notes(&dataset, vehicle).await?,
         false => Vec::new(),
     };
+    let of_pictures = match program.reads_source(frames::ROLE.name) {
+        true => pictures::notes(&dataset).await?,
+        false => Vec::new(),
+    };
     let of_fixes = fixes::notes(&dataset, &program).await?;
-    for note in of_odometry.iter().chain(&of_cameras).chain(&of_fixes) {
+    let notes = [of_odometry, of_cameras, of_pictures, of_fixes];
+    for note in notes.iter().flatten() {
         line(&format!("note: {note}"));
     }
     let players = Players::of(&dataset, std::iter::empty());

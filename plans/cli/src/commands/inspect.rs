@@ -13,7 +13,7 @@ use evermap_engine::preflight::Needs;
 use evermap_engine::prepare::parse;
 use evermap_engine::sql::{Limits, context};
 use evermap_schemas::Fault;
-use evermap_schemas::roles::{Role, Topic};
+use evermap_schemas::roles::{self, Role, Topic};
 use object_store::ObjectStoreExt;
 
 use crate::arguments::InspectArgs;
@@ -25,7 +25,7 @@ use crate::printable::printable;
 use crate::quantity::of;
 use crate::sessions::lost;
 use crate::shipped;
-use crate::{camera_frames, odometry_frame, operators};
+use crate::{camera_frames, odometry_frame, operators, pictures};
 
 /// Says what a file holds, or writes a manifest of several. Every chunk is read, so that damage is found, unless only the index is asked for. Memory
 /// does not grow with the file.
@@ -68,11 +68,20 @@ pub async fn inspect(args: &InspectArgs) -> Ending {
         }
         None => Vec::new(),
     };
+    let of_pictures = match args.quick {
+        true => Vec::new(),
+        false => pictures::notes(&dataset).await?,
+    };
     let unchecked = (!args.quick).then(|| unchecked(&read)).flatten();
-    let notes = unchecked.into_iter().chain(notes).collect();
+    let notes = unchecked.into_iter().chain(notes).chain(of_pictures);
+    let notes = notes.collect();
+    let unmounted = frames
+        .as_ref()
+        .is_some_and(CoordinateFrames::no_camera_is_mounted);
     let contents = Contents {
         notes,
         frames,
+        plans: plans(&dataset, unmounted)?,
         ..contents(&dataset, part, &read).await?
     };
     let mut stdout = std::io::BufWriter::new(std::io::stdout().lock());
@@ -143,7 +152,7 @@ async fn contents(dataset: &Dataset, part: &LogPart, read: &LogIndex) -> Result<
         roles: roles(dataset),
         frames: None,
         notes: Vec::new(),
-        plans: plans(dataset)?,
+        plans: Vec::new(),
         attachments: attachments.collect(),
         metadata,
         losses: losses.collect(),
@@ -160,19 +169,30 @@ fn roles(dataset: &Dataset) -> Vec<RoleLine> {
     roles.filter(|role| !role.topics.is_empty()).collect()
 }
 
-/// What each plan that ships lacks to make something of the file alone.
-fn plans(dataset: &Dataset) -> Result<Vec<PlanLine>, Fault> {
+/// What each plan that ships lacks to make something of the file alone. Transforms are of no use to those that need images of
+/// cameras, too, where none says where a camera is mounted.
+fn plans(dataset: &Dataset, unmounted: bool) -> Result<Vec<PlanLine>, Fault> {
     let registry = operators::registry();
-    let plays = dataset.sessions.iter().flat_map(Session::played).collect();
+    let plays: BTreeSet<String> = dataset.sessions.iter().flat_map(Session::played).collect();
+    let mut without_mounts = plays.clone();
+    let unmounted = unmounted && without_mounts.remove(roles::transforms::ROLE.name);
+    let of_mounts = [roles::frames::ROLE.name, roles::transforms::ROLE.name];
     let line = |shipped: &(&str, &str)| {
         let plan = parse(&shipped::plain(shipped), &registry);
         let plan = plan.map_err(|faults| Fault::bug(faults.to_string()))?;
         let needs = Needs::of_plan(&plan, &registry);
-        let lacks = needs.lacks_alone(&plays);
+        let is_needed = |role: &&str| plan.needs.iter().any(|needed| needed == role);
+        let unmounted = unmounted && of_mounts.iter().all(is_needed);
+        let plays = match unmounted {
+            true => &without_mounts,
+            false => &plays,
+        };
+        let lacks = needs.lacks_alone(plays);
         Ok(PlanLine {
             plan: plan.name.clone(),
+            unmounted,
             without: match lacks {
-                None => needs.without(&plays),
+                None => needs.without(plays),
                 Some(_) => Vec::new(),
             },
             lacks,

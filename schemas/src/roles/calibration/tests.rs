@@ -68,6 +68,7 @@ fn read_as(
         cameras,
         bits: None,
         robot: &OdometryOf::default(),
+        still: None,
     })
 }
 

@@ -88,6 +88,7 @@ fn read_with_bits(
         cameras,
         bits,
         robot: &OdometryOf::default(),
+        still: None,
     });
     let formats = frames?.into_iter().map(|frame| frame.image.format);
     Ok(formats.collect())

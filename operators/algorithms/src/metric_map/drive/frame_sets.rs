@@ -3,6 +3,7 @@
 use std::collections::VecDeque;
 
 use super::continuity::LONGEST_PAUSE_S;
+use super::rates::by_rate;
 use super::{Outside, nanoseconds};
 use crate::geometry::pose::Pose;
 
@@ -17,11 +18,13 @@ pub struct Exposure<I> {
     pub image: I,
 }
 
-/// At most one exposure of each camera. Its stamp is that of the first.
+/// At most one exposure of each camera. Its stamp is that of the first of its slowest cameras.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct FrameSet<I> {
     pub(super) stamp: i64,
     pub(super) exposures: Vec<Exposure<I>>,
+    /// The rate of its slowest cameras among those of the rig: 0 is the slowest.
+    pub(super) rank: usize,
 }
 
 impl<I> FrameSet<I> {
@@ -30,6 +33,60 @@ impl<I> FrameSet<I> {
         exposure.stamp.saturating_sub(self.stamp) <= max_gap_ns
             && !self.exposures.iter().any(of_camera)
     }
+
+    /// Whether all exposures of another set are this near to its stamp.
+    fn is_near(&self, other: &Self, max_gap_ns: i64) -> bool {
+        let near = |exposure: &Exposure<I>| {
+            i64::try_from(exposure.stamp.abs_diff(self.stamp)).is_ok_and(|gap| gap <= max_gap_ns)
+        };
+        other.exposures.iter().all(near)
+    }
+}
+
+/// Sets of cameras of one rate, whose exposures are in order of stamp: each is of the frames that follow its first.
+fn consecutive<I>(exposures: Vec<Exposure<I>>, rank: usize, max_gap_ns: i64) -> Vec<FrameSet<I>> {
+    let mut sets: Vec<FrameSet<I>> = Vec::new();
+    for exposure in exposures {
+        match sets.last_mut() {
+            Some(set) if set.takes(&exposure, max_gap_ns) => set.exposures.push(exposure),
+            _ => sets.push(FrameSet {
+                stamp: exposure.stamp,
+                exposures: vec![exposure],
+                rank,
+            }),
+        }
+    }
+    sets
+}
+
+/// The sets of slower cameras, each with the nearest set of faster ones, and the other sets of the faster ones; in order of
+/// stamp, as both are.
+fn joined<I>(
+    slower: Vec<FrameSet<I>>,
+    faster: Vec<FrameSet<I>>,
+    max_gap_ns: i64,
+) -> Vec<FrameSet<I>> {
+    let mut faster = VecDeque::from(faster);
+    let mut sets = Vec::with_capacity(slower.len().max(faster.len()));
+    for mut set in slower {
+        let after = faster.partition_point(|other| other.stamp <= set.stamp);
+        let neighbours = [after.checked_sub(1), Some(after)].into_iter().flatten();
+        let near = neighbours.filter_map(|at| {
+            let other = faster
+                .get(at)
+                .filter(|other| set.is_near(other, max_gap_ns))?;
+            Some((other.stamp.abs_diff(set.stamp), at))
+        });
+        if let Some((_, nearest)) = near.min() {
+            sets.extend(faster.drain(..nearest));
+            let exposures = faster.pop_front().map(|other| other.exposures);
+            set.exposures.extend(exposures.unwrap_or_default());
+        }
+        sets.push(set);
+    }
+    sets.extend(faster);
+    sets.sort_by_key(|set| set.stamp);
+    sets
 }
 
 /// A frame set that odometry has passed.
@@ -59,16 +116,12 @@ impl<I> FrameSets<I> {
         let all = exposures.len();
         exposures.dedup_by(|b, a| (a.stamp, &a.camera) == (b.stamp, &b.camera));
         let repeated = (all - exposures.len()) as u64;
-        let mut ahead: VecDeque<FrameSet<I>> = VecDeque::new();
-        for exposure in exposures {
-            match ahead.back_mut() {
-                Some(set) if set.takes(&exposure, max_gap_ns) => set.exposures.push(exposure),
-                _ => ahead.push_back(FrameSet {
-                    stamp: exposure.stamp,
-                    exposures: vec![exposure],
-                }),
-            }
+        let mut sets = Vec::new();
+        for (rank, exposures) in by_rate(exposures).into_iter().enumerate() {
+            let of_rate = consecutive(exposures, rank, max_gap_ns);
+            sets = joined(sets, of_rate, max_gap_ns);
         }
+        let ahead = VecDeque::from(sets);
         let ends = ahead.front().zip(ahead.back());
         let span_ns = ends.map_or(0, |(first, last)| last.stamp.saturating_sub(first.stamp));
         Self {
@@ -153,6 +206,30 @@ mod tests {
             .collect();
         assert_eq!(found, [(0, vec![1, 2]), (60, vec![3, 0])]);
         assert_eq!(sets.repeated, 1);
+    }
+
+    #[test]
+    fn sets_of_slower_cameras_take_the_nearest_of_faster_ones_and_keep_their_stamps() {
+        let mut exposures = Vec::new();
+        for at in 0..20 {
+            exposures.extend([("left", at * 100), ("rear", at * 100 + 30)]);
+        }
+        // The front's are 5 before and 28, 61 … after the first of the left camera.
+        exposures.extend((0..60).map(|at| ("front", at * 33 - 5)));
+        let sets = sets(&exposures);
+        let slow: Vec<_> = sets.ahead.iter().filter(|set| set.rank == 0).collect();
+        let stamps = slow.iter().map(|set| set.stamp);
+        assert!(stamps.eq((0..20).map(|at| at * 100)));
+        for set in &slow {
+            let cameras: Vec<_> = set.exposures.iter().map(|of| of.camera.as_str()).collect();
+            assert_eq!(cameras, ["left", "rear", "front"]);
+            let front = set.exposures[2].stamp;
+            assert!((front - set.stamp).abs() <= 17, "{front} of {}", set.stamp);
+        }
+        let alone: Vec<_> = sets.ahead.iter().filter(|set| set.rank == 1).collect();
+        assert_eq!(alone.len(), 40);
+        assert!(alone.iter().all(|set| set.exposures.len() == 1));
+        assert!(sets.ahead.iter().is_sorted_by_key(|set| set.stamp));
     }
 
     #[test]

@@ -111,13 +111,46 @@ impl<I> Keyframer<I> {
         {
             return None;
         }
-        let serves = |placed: &mut Placed<I>| placed.stretch == due.stretch && in_time(&placed.set);
-        let keyframe = match self.sets.placed.pop_front_if(serves) {
-            Some(placed) => self.of_set(placed),
-            None => self.keyframe(due, Vec::new()),
+        let serves = |placed: &Placed<I>| placed.stretch == due.stretch && in_time(&placed.set);
+        let keyframe = match self.sets.placed.front().is_some_and(serves) {
+            true => {
+                let best = self.best(finished)?;
+                self.sets.placed.drain(..best);
+                let placed = self.sets.placed.pop_front()?;
+                self.of_set(placed)
+            }
+            false => self.keyframe(due, Vec::new()),
         };
         self.path.due.pop_front();
         Some(keyframe)
+    }
+
+    /// The place of the set that serves whom the first placed one could: the first of those with the slowest cameras before
+    /// the next due point, which is served by what follows it. Whoever took the first one always would let faster cameras
+    /// take keyframes away from slower ones. `None` where odometry that is still to come decides.
+    fn best(&self, finished: bool) -> Option<usize> {
+        let first = self.sets.placed.front()?;
+        let rank = first.set.rank;
+        if rank == 0 {
+            return Some(0);
+        }
+        let (last, following) = self.path.around(first.set.stamp);
+        let last = last.unwrap_or(first.set.stamp);
+        let may_serve = |set: &&FrameSet<I>| {
+            set.stamp.saturating_sub(last) <= self.max_wait_ns
+                && following.is_none_or(|due| set.stamp < due)
+        };
+        let placed = self.sets.placed.iter();
+        let of_stretch = placed.take_while(|placed| placed.stretch == first.stretch);
+        let placed = of_stretch.map(|placed| &placed.set).take_while(may_serve);
+        if following.is_none() && !finished {
+            let ahead = self.sets.ahead.iter().take_while(may_serve);
+            if placed.clone().chain(ahead).any(|set| set.rank < rank) {
+                return None;
+            }
+        }
+        let (best, _) = placed.enumerate().min_by_key(|(_, set)| set.rank)?;
+        Some(best)
     }
 
     fn of_set(&mut self, placed: Placed<I>) -> Keyframe<I> {
@@ -192,6 +225,16 @@ impl Path {
         self.due.front().copied()
     }
 
+    /// Stamps of the last due point up to an instant, and of the next one behind it.
+    fn around(&self, stamp: i64) -> (Option<i64>, Option<i64>) {
+        let following = self.due.partition_point(|due| due.stamp <= stamp);
+        let stamp_of = |at: usize| self.due.get(at).map(|due| due.stamp);
+        (
+            following.checked_sub(1).and_then(stamp_of),
+            stamp_of(following),
+        )
+    }
+
     /// Driven path at a pose: that of the last due point before it, and the straight line from there.
     fn distance_m(&self, stamp: i64, pose: &Pose) -> f64 {
         let before = self.due.iter().take_while(|due| due.stamp <= stamp).last();
@@ -202,90 +245,4 @@ impl Path {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-
-    const S: i64 = 1_000_000_000;
-
-    /// Stamps (s), path (m) and numbers of exposures of a drive along x, at one metre of baseline.
-    fn drive(odometry: &[(i64, f64)], frames: &[(i64, &str)]) -> Vec<(i64, f64, usize)> {
-        let params = KeyframeParams {
-            baseline_m: 1.0,
-            ..KeyframeParams::default()
-        };
-        let exposures = frames.iter().map(|(second, camera)| Exposure {
-            stamp: second * S,
-            camera: (*camera).to_owned(),
-            image: (),
-        });
-        let mut keyframer = Keyframer::new(params, exposures.collect());
-        let mut found = Vec::new();
-        for (second, x) in odometry {
-            found.extend(keyframer.push(second * S, &Pose::from_yaw(*x, 0.0, 0.0)));
-        }
-        found.extend(keyframer.finish());
-        assert!(
-            (0..)
-                .zip(&found)
-                .all(|(number, keyframe)| keyframe.number == number)
-        );
-        let short = |of: Keyframe<()>| (of.stamp / S, of.distance_m, of.exposures.len());
-        found.into_iter().map(short).collect()
-    }
-
-    #[test]
-    fn a_due_point_is_served_by_the_next_frame_set() {
-        let odometry = [(0, 0.0), (1, 0.5), (2, 1.5), (3, 2.5)];
-        let frames = [(0, "a"), (0, "b"), (1, "a"), (2, "a"), (2, "b"), (3, "b")];
-        let found = drive(&odometry, &frames);
-        assert_eq!(found, [(0, 0.0, 2), (2, 1.5, 2), (3, 2.5, 1)]);
-    }
-
-    #[test]
-    fn nobody_waits_longer_than_allowed() {
-        let odometry = [(0, 0.0), (5, 5.0), (10, 10.0)];
-        let found = drive(&odometry, &[(3, "a"), (10, "a")]);
-        // The sets of 3 s and 10 s serve whoever is due up to a second earlier.
-        let bare: Vec<_> = found
-            .iter()
-            .filter(|found| found.2 == 0)
-            .map(|found| found.0)
-            .collect();
-        assert_eq!(bare, [0, 1, 4, 5, 6, 7, 8]);
-        assert_eq!(found.len(), 9);
-    }
-
-    #[test]
-    fn path_goes_on_over_a_jump_but_no_frame_set_lies_in_it() {
-        let odometry = [(0, 0.0), (2, 2.0), (4, 300.0), (5, 301.0)];
-        let found = drive(&odometry, &[(3, "a"), (5, "a")]);
-        assert_eq!(found, [(0, 0.0, 0), (1, 1.0, 0), (2, 2.0, 0), (5, 3.0, 1)]);
-    }
-
-    #[test]
-    fn no_frame_set_serves_a_due_point_of_another_stretch() {
-        let mut keyframer = Keyframer::new(
-            KeyframeParams {
-                baseline_m: 1.0,
-                ..KeyframeParams::default()
-            },
-            vec![Exposure {
-                stamp: 26 * S / 10,
-                camera: "a".into(),
-                image: (),
-            }],
-        );
-        let odometry = [(0, 0.0), (20, 2.0), (25, 300.0), (35, 301.0)];
-        let mut found = Vec::new();
-        for (tenth, x) in odometry {
-            let pose = Pose::from_yaw(x, 0.0, 0.0);
-            found.extend(keyframer.push(tenth * S / 10, &pose));
-        }
-        found.extend(keyframer.finish());
-        let short = found
-            .iter()
-            .map(|of| (of.stamp * 10 / S, of.stretch, of.exposures.len()));
-        let expected = [(0, 0, 0), (10, 0, 0), (20, 0, 0), (26, 1, 1), (35, 1, 0)];
-        assert_eq!(short.collect::<Vec<_>>(), expected);
-    }
-}
+mod tests;

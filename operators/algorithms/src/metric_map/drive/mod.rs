@@ -25,11 +25,13 @@
 //! set anew. It is continued, or a new stretch starts there with a keyframe of its own ([`MotionLimits`]). A new one
 //! starts, too, where the vehicle is elsewhere after a long pause of the odometry.
 //!
-//! Where there are images, a keyframe is the first frame set at or after the due point.
+//! Where there are images, a keyframe is the first frame set at or after the due point. Of cameras with several rates, a
+//! set without the slower ones leaves it to the next with them, as long as no other due point comes before that.
 
 pub(super) mod continuity;
 mod frame_sets;
 mod keyframer;
+mod rates;
 mod selector;
 mod speed;
 
@@ -56,8 +58,8 @@ pub struct KeyframeParams {
     /// What tells driven path from odometry that was set anew.
     #[serde(flatten)]
     pub limits: MotionLimits,
-    /// Spread of the stamps of one frame set (s). Half the period of paper 1's cameras (12.5 Hz), so that a frame is
-    /// always nearer to its own set than to the next one.
+    /// Spread of the stamps of one frame set (s), and how far from its stamp frames of faster cameras may be. Half the
+    /// period of paper 1's cameras (12.5 Hz), so that a frame is always nearer to its own set than to the next one.
     #[schemars(range(min = 0.0, max = 1e9))]
     pub max_gap_s: f64,
     /// A frame set that comes later than this after a due point (s) does not serve it. Longer than the pause of any
