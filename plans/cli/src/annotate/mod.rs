@@ -5,11 +5,12 @@
 //!   pixels of a mosaic ──────────────────┤
 //!   boxes on camera images ──► people ───┴─► saying ──► acts ──► a log of annotations
 //!                                               ▲
-//!   a map's version, logs ──► state: labels placed in it ──► GeoJSON, pixels of a mosaic
+//!   a map's version, logs ──► state: known labels, placed in it ──► GeoJSON, pixels of a mosaic
 //! ```
 
 pub mod features;
 pub mod geojson;
+pub mod known;
 pub mod mosaic;
 pub mod people;
 pub mod person_images;

@@ -1,6 +1,6 @@
 //! From features to acts: only what is new is said.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeSet;
 
 use evermap_algorithms::geometry::pose;
 use evermap_algorithms::labels::shapes::Outline;
@@ -13,6 +13,7 @@ use nalgebra::Vector3;
 
 use super::Losses;
 use super::features::Feature;
+use super::known::KnownLabels;
 use super::state::{State, image_of, without_poses};
 
 /// A label that was not drawn on a picture has moved where a point of it has by more than this, m.
@@ -173,7 +174,7 @@ fn kind<'a>(
 ) -> Result<Option<&'a String>, &'static str> {
     let category = feature.category.as_ref();
     let own = feature.kind.as_ref();
-    let own = own.or(category.filter(|category| state.has_kind(category)));
+    let own = own.or(category.filter(|category| state.labels.has_kind(category)));
     match (own, &speaker.kind) {
         (Some(own), Some(kind)) if own != kind => Err("feature of another kind than --kind"),
         (Some(own), _) => Ok(Some(own)),
@@ -191,28 +192,47 @@ fn label_of(
     feature: &Feature,
     outline: Option<&(&'static str, Outline)>,
     kind: Option<&String>,
-    labels: &BTreeMap<String, PlacedLabel>,
+    labels: &KnownLabels,
 ) -> Result<Option<String>, Fault> {
-    let is_ours = |label: &&String| feature.within_m.is_none() || labels.contains_key(*label);
+    let is_ours = |label: &&String| feature.within_m.is_none() || labels.get(label).is_some();
     if let Some(label) = feature.label.as_ref().filter(is_ours) {
         return Ok(Some(label.clone()));
     }
     let Some(drawn) = outline else {
         return Ok(None);
     };
-    let image = feature.image.as_ref();
-    let own = name(drawn.0, &drawn.1, image)?;
-    let lies_there = |known: &&PlacedLabel| {
-        (known.standing != "rejected" || image.is_some())
-            && kind.is_none_or(|kind| *kind == known.kind)
-            && is_shown_by(known, image)
-            && !differs(known, drawn, within_m(feature))
-    };
-    let there = match labels.contains_key(&own) {
-        true => None,
-        false => labels.values().find(lies_there),
+    let own = name(drawn.0, &drawn.1, feature.image.as_ref())?;
+    let there = match labels.get(&own) {
+        Some(_) => None,
+        None => lying_there(feature, drawn, kind, labels),
     };
     Ok(Some(there.map_or(own, |known| known.label.clone())))
+}
+
+/// The first label, by name, that is what a feature without a name draws.
+fn lying_there<'l>(
+    feature: &Feature,
+    drawn: &(&str, Outline),
+    kind: Option<&String>,
+    labels: &'l KnownLabels,
+) -> Option<&'l PlacedLabel> {
+    let [x, y, _] = in_map(&drawn.1).next()?;
+    let mut near = labels.beginning_near([x, y], within_m(feature));
+    near.find(|known| lies_there(known, feature, drawn, kind))
+}
+
+/// Whether a label is what a feature without a name draws.
+fn lies_there(
+    known: &PlacedLabel,
+    feature: &Feature,
+    drawn: &(&str, Outline),
+    kind: Option<&String>,
+) -> bool {
+    let image = feature.image.as_ref();
+    (known.standing != "rejected" || image.is_some())
+        && kind.is_none_or(|kind| *kind == known.kind)
+        && is_shown_by(known, image)
+        && !differs(known, drawn, within_m(feature))
 }
 
 /// Whether a label is tied to the image that a feature names, if it names one.
@@ -311,17 +331,22 @@ fn differs(known: &PlacedLabel, (shape, outline): &(&str, Outline), within_m: f6
     if known.shape != *shape || known.points.len() != outline.points.len() {
         return true;
     }
-    let in_map = |point: &[f64; 3]| -> [f64; 3] {
-        let point = Vector3::from(*point);
-        outline.map_from_label.transform(&point).into()
-    };
     let near = |a: &[f64; 3], b: &[f64; 3]| (a[0] - b[0]).hypot(a[1] - b[1]) <= within_m;
-    let mut drawn = outline.points.iter().map(in_map);
+    let mut drawn = in_map(outline);
     let same = match *shape {
         "box" => drawn.all(|a| known.points.iter().any(|b| near(&a, b))),
         _ => drawn.zip(&known.points).all(|(a, b)| near(&a, b)),
     };
     !same
+}
+
+/// The points of an outline in the map, m.
+fn in_map(outline: &Outline) -> impl Iterator<Item = [f64; 3]> {
+    let place = move |point: &[f64; 3]| -> [f64; 3] {
+        let point = Vector3::from(*point);
+        outline.map_from_label.transform(&point).into()
+    };
+    outline.points.iter().map(place)
 }
 
 #[cfg(test)]

@@ -1,6 +1,6 @@
 //! The labels of a site as they are in one version of its map, from what the map and logs say.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeSet;
 use std::path::PathBuf;
 
 use datafusion::prelude::SessionContext;
@@ -21,6 +21,7 @@ use evermap_schemas::{Fault, LayerRow, Stamp};
 
 use super::Losses;
 use super::features::Feature;
+use super::known::KnownLabels;
 use crate::reader::{MapReader, answered, one_site, only, typed};
 use crate::sessions;
 use crate::shown::Picture;
@@ -36,8 +37,8 @@ pub struct State {
     pub site: String,
     /// The version that is looked at.
     pub version: u64,
-    /// The labels that there are, by name.
-    pub labels: BTreeMap<String, PlacedLabel>,
+    /// The labels that there are.
+    pub labels: KnownLabels,
     /// Whether there is anything that labels can be tied to; on images people paint without.
     pub has_poses: bool,
     /// The poses and frames of the version.
@@ -102,7 +103,7 @@ impl State {
         let mut state = Self {
             site,
             version: reader.map.version.version,
-            labels: BTreeMap::new(),
+            labels: KnownLabels::default(),
             has_poses,
             holds,
             images: None,
@@ -114,15 +115,10 @@ impl State {
         Ok(state)
     }
 
-    /// Whether there are labels of a kind.
-    pub fn has_kind(&self, kind: &str) -> bool {
-        self.labels.values().any(|label| label.kind == kind)
-    }
-
     /// The kind of labels that a word may be a misspelling of; `None` for a kind that there is, or one like no other.
     pub fn meant(&self, kind: &str) -> Option<&str> {
-        let kinds = self.labels.values().map(|label| label.kind.as_str());
-        match self.has_kind(kind) {
+        let kinds = self.labels.rows().iter().map(|label| label.kind.as_str());
+        match self.labels.has_kind(kind) {
             true => None,
             false => nearest(kind, kinds),
         }
@@ -188,7 +184,7 @@ impl State {
         let (acts, before) = (self.acts.clone(), self.before.clone());
         let labels = anchored(acts, before, &self.holds, &mut tell).into_iter();
         let placed = labels.filter_map(|label| self.placer.placed(label, &mut tell));
-        self.labels = placed.map(|label| (label.label.clone(), label)).collect();
+        self.labels = placed.collect();
     }
 }
 
@@ -309,7 +305,7 @@ mod tests {
         State {
             site: "lot".into(),
             version: 1,
-            labels: BTreeMap::new(),
+            labels: KnownLabels::default(),
             has_poses: true,
             holds: Holds::new(map, &params),
             images: Some(images.collect()),

@@ -129,7 +129,7 @@ async fn export(
     losses: &mut Losses,
 ) -> Result<(), Failure> {
     let wanted = |kind: &String| args.kind.as_ref().is_none_or(|wanted| wanted == kind);
-    let labels = state.labels.into_values();
+    let labels = state.labels.into_rows().into_iter();
     let labels: Vec<PlacedLabel> = labels.filter(|label| wanted(&label.kind)).collect();
     if labels.is_empty() {
         line("there are no labels yet");

@@ -3,7 +3,7 @@
 //! Source: Kushal & Agarwal, *Visibility based preconditioning for bundle adjustment* (CVPR 2012). Theirs are found by
 //! clustering a graph of all pairs that see a common landmark, whose size grows with the square of the drives through a
 //! place; ours by leaders, in one pass over the observations: a pose joins the cluster of the leader with whom it
-//! shares most, or leads a new one.
+//! shares most, or leads a new one. Poses that see nothing (a tunnel, a night) are put into runs along their drive.
 
 use super::elimination::Layout;
 
@@ -20,19 +20,35 @@ pub(super) struct Clusters {
 const SHARES: [f64; 9] = [0.9, 0.8, 0.7, 0.6, 0.5, 0.4, 0.3, 0.2, 0.1];
 
 impl Clusters {
-    /// The finest clusters of at most `most`, or the coarsest there are.
-    pub(super) fn by_visibility(layout: &Layout, landmarks: usize, most: usize) -> Self {
-        let seen: Vec<Vec<u32>> = layout
-            .by_block
-            .iter()
-            .map(|own| distinct(layout, own))
-            .collect();
+    /// The finest clusters of at most `most`, or the coarsest there are. What sees nothing is with its `kin`, as
+    /// [`Bundle::kin`](super::schur::Bundle::kin) has it, by as many as `most` clusters have on average.
+    pub(super) fn by_visibility(
+        layout: &Layout,
+        landmarks: usize,
+        kin: &[u32],
+        most: usize,
+    ) -> Self {
+        let seen = layout.by_block.iter().map(|own| distinct(layout, own));
+        let mut seen: Vec<Vec<u32>> = seen.collect();
+        let run = kin.len().div_ceil(most.max(1));
+        let things = landmarks + show_runs(&mut seen, landmarks, kin, run);
         let [finer @ .., coarsest] = &SHARES;
         finer
             .iter()
-            .find_map(|share| Self::with_share(&seen, landmarks, *share, most))
-            .or_else(|| Self::with_share(&seen, landmarks, *coarsest, usize::MAX))
+            .find_map(|share| Self::with_share(&seen, things, *share, most))
+            .or_else(|| Self::with_share(&seen, things, *coarsest, usize::MAX))
             .unwrap_or_default()
+    }
+
+    /// Clusters that were led one after the other put together, evenly, until there are no more than `most`.
+    pub(super) fn joined(mut self, most: usize) -> Self {
+        if self.count > most {
+            for cluster in &mut self.of {
+                *cluster = (*cluster as usize * most / self.count) as u32;
+            }
+            self.count = most;
+        }
+        self
     }
 
     /// `None` when there are more than `most`: a landmark has no more leaders than there are clusters, so that trying
@@ -107,6 +123,24 @@ impl Clusters {
         }
         members
     }
+}
+
+/// Each unknown that sees nothing is shown the run that it is in, of at most `most` of its kin, as a landmark of their own;
+/// gives the number of runs.
+fn show_runs(seen: &mut [Vec<u32>], landmarks: usize, kin: &[u32], most: usize) -> usize {
+    let blind = (0..seen.len()).filter(|block| seen[*block].is_empty());
+    let blind: Vec<usize> = blind.collect();
+    let kin: Vec<u32> = blind.iter().map(|block| kin[*block]).collect();
+    let families = kin.iter().max().map_or(0, |last| *last as usize + 1);
+    let kin = Clusters {
+        of: kin,
+        count: families,
+    };
+    let runs = kin.cut(most);
+    for (block, run) in blind.iter().zip(&runs.of) {
+        seen[*block].push(landmarks as u32 + run);
+    }
+    runs.count
 }
 
 /// Landmarks of some sights of one unknown, each once.

@@ -24,7 +24,7 @@ use crate::solving::least_squares::SystemError;
 const GROUP: usize = 8;
 
 /// Clusters that may move rigidly: their dense system stays small beside a pass over the observations.
-const CLUSTERS: usize = 200;
+pub(super) const CLUSTERS: usize = 200;
 
 /// Fewer unknowns than this in a cluster are better factorised.
 const CLUSTER: usize = 6;
@@ -69,8 +69,7 @@ impl<const C: usize> Iterative<C> {
         bundle: &B,
     ) -> Result<(Layout, Self), SystemError> {
         let blocks = layout.by_block.len();
-        let most = CLUSTERS.min(blocks / CLUSTER + 1);
-        let clusters = Clusters::by_visibility(&layout, landmarks, most);
+        let clusters = clusters(&layout, landmarks, &bundle.kin(blocks));
         let parts = clusters.cut(GROUP);
         let members = parts.members();
         let mut order: Vec<u32> = (0..blocks as u32).collect();
@@ -193,6 +192,12 @@ impl<const C: usize> Iterative<C> {
         }
         all
     }
+}
+
+/// What moves rigidly: never more than [`CLUSTERS`], as memory grows with their square and time with their cube.
+pub(super) fn clusters(layout: &Layout, landmarks: usize, kin: &[u32]) -> Clusters {
+    let most = CLUSTERS.min(layout.by_block.len() / CLUSTER + 1);
+    Clusters::by_visibility(layout, landmarks, kin, most).joined(CLUSTERS)
 }
 
 impl Group {

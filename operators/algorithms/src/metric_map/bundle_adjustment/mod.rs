@@ -19,10 +19,10 @@
 //!
 //! A problem of many poses can be adjusted by regions ([`Options::region_poses`]). In one piece,
 //! the landmarks are eliminated first ([`schur`]). What is left, the reduced system of poses and sessions, is formed and
-//! factorised where drives hardly overlap (`reduced`), and solved by preconditioned conjugate gradients without being
-//! formed where they do (`iterative`): cost per iteration is then linear in the observations, however many drives go
-//! through a place. The loop is [`crate::solving::least_squares::minimise`]. Results are the same to the bit on any
-//! number of threads.
+//! factorised where drives hardly overlap or see nothing (`reduced`), and solved by preconditioned conjugate gradients
+//! without being formed where they overlap (`iterative`): cost per iteration is then linear in the observations, however many
+//! drives go through a place. The loop is [`crate::solving::least_squares::minimise`]. Results are the same to the bit on
+//! any number of threads.
 
 mod blocks;
 mod clusters;

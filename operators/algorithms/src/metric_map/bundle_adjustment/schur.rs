@@ -86,6 +86,12 @@ pub trait Bundle<const C: usize>: Sync {
             std::array::from_fn(|r| std::array::from_fn(|c| f64::from(u8::from(r == c))));
         vec![identity; groups.len()]
     }
+
+    /// The kin of each of so many unknowns, by small numbers: where unknowns of one kin see nothing, those that follow one
+    /// another may move together. Unless told otherwise, all are of one kin.
+    fn kin(&self, unknowns: usize) -> Vec<u32> {
+        vec![0; unknowns]
+    }
 }
 
 /// Hessian and gradient of the terms without landmarks.

@@ -2,7 +2,8 @@
 //!
 //! Formed and factorised it costs the square of a landmark's sightings and more than the square of the poses that meet:
 //! little on a drive that never returns, too much where many drives overlap. Conjugate gradients never form it, and a
-//! step costs some passes over the observations, however they overlap.
+//! step costs some passes over the observations, however they overlap. A drive on odometry alone is a chain: its factor is
+//! as long as the drive.
 
 use super::blocks::Blocks;
 use super::elimination::{Layout, Point, Sighted};
@@ -12,8 +13,9 @@ use super::reduced::Reduced;
 use super::schur::{Bundle, Sight};
 use crate::solving::least_squares::{Structure, SystemError};
 
-/// Work of an iterative step in products of two numbers, for each observation: passes, times what one costs while
-/// memory is what bounds it. Measured on drives that overlap (`solve_bundle --drive N --drives K`).
+/// Work of an iterative step in products of two numbers, for each observation, and for each block of the terms without
+/// landmarks, which a pass reads too: passes, times what one costs while memory is what bounds it. Measured on drives
+/// that overlap (`solve_bundle --drive N --drives K`).
 const ITERATIVE_PER_OBSERVATION: f64 = 12_000.0;
 
 /// Products of two numbers for a pair of observations of one landmark, when the system is formed.
@@ -22,7 +24,8 @@ const FORMED_PER_PAIR: f64 = 250.0;
 /// How the camera side of a step is found.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub enum LinearSolver {
-    /// Whichever takes less, by the number of observations, of pairs of them, and of the factor's entries.
+    /// Whichever takes less, by the number of observations, of pairs of them, of unknowns that meet without landmarks, and
+    /// of the factor's entries.
     #[default]
     Cheaper,
     /// The reduced system is formed and factorised.
@@ -48,7 +51,8 @@ impl<const C: usize> System<C> {
     ) -> Result<(Layout, Self), SystemError> {
         let identity: Vec<u32> = (0..blocks as u32).collect();
         let layout = Layout::new(landmarks, sights, &identity);
-        let iterative = ITERATIVE_PER_OBSERVATION * layout.sights.len() as f64;
+        let read = layout.sights.len() + terms.entries.len();
+        let iterative = ITERATIVE_PER_OBSERVATION * read as f64;
         let formed = FORMED_PER_PAIR * layout.pairs_of_sights();
         if solver == LinearSolver::Factorised
             || solver == LinearSolver::Cheaper && formed < iterative

@@ -327,6 +327,19 @@ impl Bundle<6> for Vehicles<'_> {
         }
         motions
     }
+
+    /// Poses of a session are of one kin; a session's own unknowns are alone.
+    fn kin(&self, unknowns: usize) -> Vec<u32> {
+        let sessions = self.estimate.sessions.len();
+        let alone = |block: usize| (sessions + block.saturating_sub(self.first_session)) as u32;
+        let mut kin: Vec<u32> = (0..unknowns).map(alone).collect();
+        for (block, pose) in self.blocks.iter().zip(&self.estimate.poses) {
+            if let Some(kin) = kin.get_mut(*block as usize) {
+                *kin = pose.session as u32;
+            }
+        }
+        kin
+    }
 }
 
 impl Placed {

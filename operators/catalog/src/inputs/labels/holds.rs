@@ -1,10 +1,11 @@
 //! What of a map can hold labels: vehicle poses, with what their cameras see from there, and map frames.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 use evermap_algorithms::geometry::pose::Pose;
 use evermap_algorithms::geometry::rig::{Rig, RigCamera};
 use evermap_algorithms::labels::anchors::{AnchorParams, Obstacles, Stations};
+use evermap_algorithms::labels::points::PointIndex;
 use evermap_schemas::Stamp;
 use evermap_schemas::layers::{MapFrame, VehiclePose};
 use evermap_schemas::roles::{Anchor, Calibration, Transform};
@@ -43,7 +44,11 @@ pub struct Holds {
     poses: Vec<Pose>,
     /// Session and instant of each pose.
     of: Vec<(String, Stamp)>,
+    /// The instants of each session's poses.
+    instants: BTreeMap<String, BTreeSet<Stamp>>,
     stations: Stations,
+    /// The poses from above.
+    stood: PointIndex,
     rigs: BTreeMap<String, Rig>,
     obstacles: Obstacles,
     frames: Frames,
@@ -59,13 +64,20 @@ impl Holds {
                 of.push((row.session, row.stamp));
             }
         }
+        let mut instants: BTreeMap<String, BTreeSet<Stamp>> = BTreeMap::new();
+        for (session, stamp) in of.iter().cloned() {
+            instants.entry(session).or_default().insert(stamp);
+        }
+        let from_above = |pose: &Pose| [pose.translation.x, pose.translation.y];
         let mounted = rigs(rows.calibration, rows.transforms).into_iter();
         let rigs = mounted.map(|(session, rig)| (session, rig.cameras(&params.vehicle)));
         Self {
             params: params.options,
             stations: Stations::new(&poses),
+            stood: PointIndex::new(poses.iter().map(from_above)),
             poses,
             of,
+            instants,
             rigs: rigs.collect(),
             obstacles: Obstacles::new(rows.landmarks),
             frames: rows.frames.into_iter().collect(),
@@ -79,10 +91,9 @@ impl Holds {
 
     /// Height of the ground, about, at a place of the map, m: that of the vehicle pose nearest to it from above; 0 where
     /// there is none.
-    pub fn ground(&self, [x, y]: [f64; 2]) -> f64 {
-        let away = |pose: &&Pose| (pose.translation.x - x).hypot(pose.translation.y - y);
-        let nearest = self.poses.iter().min_by(|a, b| away(a).total_cmp(&away(b)));
-        nearest.map_or(0.0, |pose| pose.translation.z)
+    pub fn ground(&self, at: [f64; 2]) -> f64 {
+        let nearest = self.stood.nearest(at);
+        nearest.map_or(0.0, |pose| self.poses[pose].translation.z)
     }
 
     /// Whether it is known of any camera of a session how it sees, and where it is mounted.
@@ -93,8 +104,8 @@ impl Holds {
 
     /// Whether the vehicle has a pose of just this instant.
     pub fn has_pose(&self, session: &str, stamp: Stamp) -> bool {
-        let mut of = self.of.iter();
-        of.any(|(known, at)| known == session && *at == stamp)
+        let instants = self.instants.get(session);
+        instants.is_some_and(|instants| instants.contains(&stamp))
     }
 
     /// A camera of a session; `None` where it is not known how it sees, or where it is mounted.
@@ -135,5 +146,70 @@ impl Holds {
             of: (nearest.session.clone(), nearest.stamp),
             frame_from_label: evermap_schemas::Pose::from_array(frame_from_label.to_array()),
         })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+    use crate::VehicleFrame;
+
+    fn pose(session: &str, stamp: i64, [x, y, z]: [f64; 3]) -> VehiclePose {
+        VehiclePose {
+            site: "lot".into(),
+            session: session.into(),
+            stamp: Stamp(stamp),
+            map_from_vehicle: evermap_schemas::Pose {
+                x,
+                y,
+                z,
+                ..evermap_schemas::Pose::IDENTITY
+            },
+        }
+    }
+
+    fn holds(poses: Vec<VehiclePose>) -> Holds {
+        let rows = MapRows {
+            poses,
+            ..MapRows::default()
+        };
+        let params = OfVehicle {
+            options: AnchorParams::default(),
+            vehicle: VehicleFrame::default(),
+        };
+        Holds::new(rows, &params)
+    }
+
+    proptest! {
+        /// Storeys lie above each other: of poses that are equally far away the first says how high the ground is.
+        #[test]
+        fn the_ground_is_as_high_as_the_pose_that_is_nearest_from_above(
+            stood in prop::collection::vec([-4..4_i32, -4..4, 0..3], 0..40),
+            at in [-5..5_i32, -5..5],
+        ) {
+            let stood: Vec<[f64; 3]> = stood.iter().map(|place| place.map(f64::from)).collect();
+            let rows = (0..).zip(&stood).map(|(stamp, place)| pose("a", stamp, *place));
+            let at = at.map(f64::from);
+            let away = |place: &&[f64; 3]| (place[0] - at[0]).hypot(place[1] - at[1]);
+            let nearest = stood.iter().min_by(|a, b| away(a).total_cmp(&away(b)));
+            let height = nearest.map_or(0.0, |place| place[2]);
+            prop_assert_eq!(holds(rows.collect()).ground(at), height);
+        }
+    }
+
+    #[test]
+    fn a_pose_is_of_its_session_and_instant() {
+        let mut nowhere = pose("b", 7, [0.0; 3]);
+        nowhere.map_from_vehicle.x = f64::NAN;
+        let known = holds(vec![
+            pose("a", 5, [0.0; 3]),
+            pose("b", 6, [0.0; 3]),
+            nowhere,
+        ]);
+        let found = [("a", 5), ("b", 6), ("a", 6), ("b", 7), ("c", 5)];
+        let found = found.map(|(session, stamp)| known.has_pose(session, Stamp(stamp)));
+        assert_eq!(found, [true, true, false, false, false]);
     }
 }

@@ -145,7 +145,7 @@ impl Site {
         Labels {
             version: told.state.version,
             revision: told.revision,
-            labels: told.state.labels.values().cloned().collect(),
+            labels: told.state.labels.rows().to_vec(),
         }
     }
 
@@ -300,7 +300,7 @@ impl Site {
     /// What there is to learn from.
     async fn lesson(&self, kind: &str) -> Lesson {
         let told = self.told.lock().await;
-        let labels = told.state.labels.values();
+        let labels = told.state.labels.rows().iter();
         let labels = labels.filter(|label| label.kind == kind).cloned();
         Lesson {
             revision: told.revision,

@@ -41,7 +41,7 @@ impl Told {
             asked: Vec::new(),
             unplaced: 0,
         };
-        let labels = self.state.labels.values();
+        let labels = self.state.labels.rows().iter();
         let said: Vec<&PlacedLabel> = labels.filter(|label| label.kind == PERSON).collect();
         for question in &self.people {
             if said.iter().any(|label| answers(label, question)) {

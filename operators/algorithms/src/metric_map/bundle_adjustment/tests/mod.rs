@@ -1,6 +1,7 @@
 //! Simulated drives with exact truth.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
+mod blind;
 mod jacobians;
 mod regions;
 mod solving;
