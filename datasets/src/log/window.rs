@@ -115,7 +115,7 @@ pub async fn fetch(
     Ok(bytes)
 }
 
-/// Fetches ranges of an object side by side, at most [`SIDE_BY_SIDE`]: the bytes of each, in order.
+/// Fetches some ranges of an object at once, of which there should be [`SIDE_BY_SIDE`] at most: the bytes of each, in order.
 ///
 /// # Errors
 /// As [`fetch`].
