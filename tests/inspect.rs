@@ -4,6 +4,7 @@
 
 use std::path::Path;
 
+use evermap_datasets::log::record::{MAGIC, split};
 use evermap_tests::{Finished, command, evermap, text, write_nothing};
 use serde_json::{Value, json};
 
@@ -420,6 +421,105 @@ fn a_flipped_bit_outside_chunks_is_told() {
         "{}",
         told.stdout
     );
+}
+
+/// Messages went with a chunk that was cut out, and its summary leads nowhere: what it counts is held against the file.
+#[test]
+fn messages_that_went_with_a_chunk_are_told_by_inspect_and_queries() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("log.mcap");
+    let options = mcap::WriteOptions::new().chunk_size(Some(200));
+    let mut log = options
+        .create(std::fs::File::create(&path).unwrap())
+        .unwrap();
+    let channel = log.add_channel(0, "/a", "json", &Default::default());
+    let channel_id = channel.unwrap();
+    for sequence in 0..40 {
+        let header = mcap::records::MessageHeader {
+            channel_id,
+            sequence,
+            log_time: sequence.into(),
+            publish_time: sequence.into(),
+        };
+        log.write_to_known_channel(&header, b"{}").unwrap();
+    }
+    log.finish().unwrap();
+    let query = "SELECT count(*) AS n FROM messages";
+    let asked = ["sql", "--format", "json", "--sessions", text(&path), query];
+    let told = evermap(&["inspect", text(&path)]);
+    assert!(told.expect(0).stdout.contains("index        summary\n"));
+    evermap(&asked).expect(0);
+
+    let bytes = std::fs::read(&path).unwrap();
+    let mut at = MAGIC.len();
+    let mut chunks = Vec::new();
+    while let Some((opcode, _, used)) = split(&bytes[at..]) {
+        if opcode == mcap::records::op::CHUNK {
+            chunks.push(at);
+        }
+        at += used;
+    }
+    assert!(chunks.len() > 4);
+    let cut = [&bytes[..chunks[2]], &bytes[chunks[3]..]].concat();
+    std::fs::write(&path, cut).unwrap();
+    let told = evermap(&["inspect", text(&path)]).expect(3).stdout;
+    for said in [
+        "index        a summary that is not believed; read from the start",
+        "summaries that contradict their file",
+        "expected 40 messages as the summary says, found 3",
+    ] {
+        assert!(told.contains(said), "{said}: {told}");
+    }
+    let told = evermap(&asked).expect(3);
+    let rows = told.json();
+    assert!((20..40).contains(&rows[0]["n"].as_u64().unwrap()), "{rows}");
+    assert!(
+        told.stderr.contains("expected 40 messages"),
+        "{}",
+        told.stderr
+    );
+}
+
+/// A key of metadata that comes twice takes the record out of queries, and `inspect` says so.
+#[test]
+fn damaged_metadata_is_told_by_inspect_and_queries() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("log.mcap");
+    let options = mcap::WriteOptions::new().calculate_data_section_crc(false);
+    let file = std::fs::File::create(&path).unwrap();
+    let mut log = options.create(file).unwrap();
+    let classes = [("1", "road"), ("2", "car")];
+    let classes = classes.map(|(value, name)| (value.to_owned(), name.to_owned()));
+    let metadata = mcap::records::Metadata {
+        name: "label_classes".to_owned(),
+        metadata: classes.into(),
+    };
+    log.write_metadata(&metadata).unwrap();
+    log.finish().unwrap();
+    let asked = ["sql", "--sessions", text(&path), "SELECT * FROM metadata"];
+    let told = evermap(&["inspect", text(&path)]).expect(0).stdout;
+    assert!(told.contains("metadata     label_classes"), "{told}");
+    evermap(&asked).expect(0);
+
+    let mut bytes = std::fs::read(&path).unwrap();
+    let second = b"\x01\0\0\x002";
+    let at = bytes.windows(5).position(|found| found == second);
+    bytes[at.unwrap() + 4] = b'1';
+    std::fs::write(&path, bytes).unwrap();
+    let said = "expected each key once, found \"1\" twice";
+    for asked in [
+        &["inspect", text(&path)][..],
+        &["inspect", "--quick", text(&path)],
+    ] {
+        let told = evermap(asked).expect(3).stdout;
+        assert!(told.contains("damaged attachments or metadata"), "{told}");
+        assert!(
+            told.contains(said) && !told.contains("metadata     label"),
+            "{told}"
+        );
+    }
+    let told = evermap(&asked).expect(3).stderr;
+    assert!(told.contains(said), "{told}");
 }
 
 /// A run reads all of a log for its digest, also what lies between messages.

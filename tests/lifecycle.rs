@@ -2,6 +2,8 @@
 
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
+use std::ffi::OsStr;
+use std::os::unix::ffi::OsStrExt;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, SystemTime};
@@ -524,10 +526,15 @@ fn what_is_no_file_among_logs_is_counted() {
         .arg(logs.join("pipe.mcap"))
         .status();
     assert!(pipe.unwrap().success());
+    // No line says these.
+    let unsaid = [&b"b\xff.mcap"[..], b"t\t.mcap"].map(|name| logs.join(OsStr::from_bytes(name)));
+    for name in &unsaid {
+        std::fs::copy(logs.join("a.mcap"), name).unwrap();
+    }
     for (name, given) in [("folder", logs.clone()), ("pattern", logs.join("*.mcap"))] {
         let map = folder.path().join(name);
         let told = run(&map, &[&given]).expect(3).stderr;
-        for name in ["gone.mcap", "pipe.mcap"] {
+        for name in ["gone.mcap", "pipe.mcap", "b\\xFF.mcap", "t\\t.mcap"] {
             let said = format!("{name}: files that cannot be read");
             assert!(told.contains(&said), "{said}: {told}");
         }
@@ -536,8 +543,12 @@ fn what_is_no_file_among_logs_is_counted() {
             serde_json::json!([{ "session": "a" }])
         );
     }
-    std::fs::remove_file(logs.join("a.mcap")).unwrap();
-    std::fs::remove_file(logs.join("gone.mcap")).unwrap();
+    for name in unsaid
+        .iter()
+        .chain(&["a.mcap", "gone.mcap"].map(|name| logs.join(name)))
+    {
+        std::fs::remove_file(name).unwrap();
+    }
     let refused = run(&folder.path().join("none"), &[&logs]).expect(1).stderr;
     assert!(refused.contains("found a named pipe"), "{refused}");
 }

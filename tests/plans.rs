@@ -463,6 +463,46 @@ fn a_query_of_the_version_before_is_refused() {
     assert_eq!(count, 2, "{}", told.stderr);
 }
 
+/// Each step reads the one before it twice: made anew for each, the first join of sixteen steps would be made 16,384 times.
+const JOINED: &str = "SELECT a.site, a.session, a.stamp FROM {} a JOIN {} b ON a.stamp = b.stamp";
+
+/// Each step is planned with all those beneath it that are not kept: of seventy, two are, and the last one.
+const NUMBERED: &str = "SELECT site, session, stamp, row_number() OVER (PARTITION BY session ORDER BY stamp) AS n FROM {}";
+
+#[test]
+fn a_plan_of_many_steps_takes_time_by_their_number() {
+    let folder = tempfile::tempdir().unwrap();
+    let drive = folder.path().join("drive.mcap");
+    let poses = rectangle(4.0, 2.0, 1.0);
+    let messages = poses.len();
+    write_drive(&drive, poses);
+    for (name, query, steps, kept) in [("joined", JOINED, 16, 16), ("numbered", NUMBERED, 70, 3)] {
+        let plan = folder.path().join(format!("{name}.yaml"));
+        let map = folder.path().join(name);
+        let first = "  s0: { sql: 'SELECT site, session, stamp FROM odometry' }";
+        let mut lines = vec![format!("plan: {name}\nsteps:\n{first}")];
+        for step in 1..steps {
+            let query = query.replace("{}", &format!("s{}", step - 1));
+            lines.push(format!("  s{step}: {{ sql: '{query}' }}"));
+        }
+        let last = format!("s{}", steps - 1);
+        lines.push(format!("write: [{last}]\n"));
+        std::fs::write(&plan, lines.join("\n")).unwrap();
+
+        let given = ["--map", text(&map), "--sessions", text(&drive)];
+        let explain = ["explain", text(&plan), "--format", "json"];
+        let units = evermap(&[explain, given].concat()).expect(0).json();
+        assert_eq!(units.as_array().unwrap().len(), kept, "{units}");
+        let run = ["run", text(&plan), "--progress", "none"];
+        evermap(&[run, given].concat()).expect(0);
+        let count = format!("SELECT count(*) AS rows, count(DISTINCT stamp) AS stamps FROM {last}");
+        let count = ["sql", "--map", text(&map), "--format", "json", &count];
+        let count = evermap(&count).expect(0).json();
+        let expected = serde_json::json!([{ "rows": messages, "stamps": messages }]);
+        assert_eq!(count, expected, "{name}");
+    }
+}
+
 #[test]
 fn the_page_of_plans_names_every_table_of_a_session() {
     let page = page("docs/plans.md");

@@ -1,7 +1,7 @@
 //! Where logs are: local paths, globs, and any URL that `object_store` reads.
 
 use std::io::Read;
-use std::path::{Path as FilePath, PathBuf};
+use std::path::Path as FilePath;
 use std::sync::Arc;
 
 use datafusion::execution::object_store::ObjectStoreUrl;
@@ -15,6 +15,8 @@ use url::{Position, Url};
 use crate::address::url_of;
 use crate::fault::store_fault;
 use crate::log::index::LogIndex;
+
+mod local;
 
 /// A log's file that was named, or found.
 #[derive(Debug, Clone)]
@@ -71,10 +73,10 @@ pub(crate) async fn resolve(runtime: &RuntimeEnv, name: &str) -> Result<Vec<LogF
             let path = url.to_file_path().map_err(|()| {
                 Fault::user(format!("expected the URL of a local file, found {name}"))
             })?;
-            local(runtime, &path.to_string_lossy()).await?
+            local::files(runtime, &path.to_string_lossy()).await?
         }
         Some(url) => remote(runtime, &url).await?,
-        None => local(runtime, name).await?,
+        None => local::files(runtime, name).await?,
     };
     if found.is_empty() {
         return Err(
@@ -111,67 +113,6 @@ const WHAT_TO_GIVE: &str = "give a file, a folder, a glob in quotes, or a URL";
 fn is_mcap(path: &FilePath) -> bool {
     path.extension()
         .is_some_and(|extension| extension == "mcap")
-}
-
-async fn local(runtime: &RuntimeEnv, name: &str) -> Result<Vec<LogFile>, Fault> {
-    let url = ObjectStoreUrl::local_filesystem();
-    let store = runtime
-        .object_store(&url)
-        .map_err(|error| Fault::resource(error.to_string()))?;
-    let mut files = Vec::new();
-    let paths = local_paths(name)?;
-    let is_among_others = paths.len() > 1;
-    for path in paths {
-        let refused = check_file(&path).err();
-        if let Some(fault) = refused.clone().filter(|_| !is_among_others) {
-            return Err(fault);
-        }
-        let path =
-            plain_path(&path).map_err(|error| Fault::user(error.to_string()).at(path.display()))?;
-        let location = Path::from_absolute_path(&path)
-            .map_err(|error| Fault::user(error.to_string()).at(path.display()))?;
-        let meta = match &refused {
-            None => store.head(&location).await,
-            Some(_) => Ok(nothing_at(location)),
-        };
-        let meta = meta.map_err(|error| store_fault(&error).at(path.display()))?;
-        files.push(LogFile {
-            refused,
-            ..LogFile::new(&store, &url, meta)
-        });
-    }
-    Ok(files)
-}
-
-/// What is said of a file that is none.
-fn nothing_at(location: Path) -> ObjectMeta {
-    ObjectMeta {
-        location,
-        last_modified: Default::default(),
-        size: 0,
-        e_tag: None,
-        version: None,
-    }
-}
-
-/// Refuses what is not there, and what is no file: reading a pipe would wait for ever, and a device has no end.
-fn check_file(path: &FilePath) -> Result<(), Fault> {
-    let found = std::fs::metadata(path).map_err(|error| {
-        match error.kind() {
-            std::io::ErrorKind::NotFound => {
-                Fault::user("expected a file, found nothing").next(WHAT_TO_GIVE)
-            }
-            _ => Fault::resource(format!("cannot read the file: {error}")),
-        }
-        .at(path.display())
-    })?;
-    if found.is_file() || found.is_dir() {
-        return Ok(());
-    }
-    let kind = special(found.file_type());
-    Err(Fault::user(format!("expected a file, found {kind}"))
-        .next("record it to a file first")
-        .at(path.display()))
 }
 
 /// What stands at a path in the place of a file: a folder, what has no end or waits for ever for one (a pipe, a socket, a device), or
@@ -245,67 +186,12 @@ fn special(_: std::fs::FileType) -> &'static str {
     "something else"
 }
 
-/// The absolute path without `..`; a link to a file keeps its own name.
-fn plain_path(path: &FilePath) -> std::io::Result<PathBuf> {
-    let path = std::path::absolute(path)?;
-    match (path.parent(), path.file_name()) {
-        (Some(folder), Some(name)) if folder.exists() => Ok(folder.canonicalize()?.join(name)),
-        _ => path.canonicalize(),
-    }
-}
-
-fn local_paths(name: &str) -> Result<Vec<PathBuf>, Fault> {
-    let path = FilePath::new(name);
-    if path.is_dir() {
-        return folder_paths(path);
-    }
-    if path.exists() || !name.contains(['*', '?', '[']) {
-        return Ok(vec![path.to_owned()]);
-    }
-    let matches = glob::glob(name)
-        .map_err(|error| Fault::user(format!("the pattern {name}: {error}")))?
-        .collect::<Result<Vec<_>, _>>()
-        .map_err(|error| Fault::resource(error.to_string()))?;
-    let mut files = Vec::new();
-    for path in matches {
-        match path.is_dir() {
-            true => files.extend(folder_paths(&path)?.into_iter().filter(|p| is_mcap(p))),
-            false => files.push(path),
-        }
-    }
-    Ok(logs_among(files, PathBuf::as_path))
-}
-
 /// What a pattern found: the MCAP files alone, where there are any among others.
 fn logs_among<T>(mut found: Vec<T>, path: impl Fn(&T) -> &FilePath) -> Vec<T> {
     if found.iter().any(|file| is_mcap(path(file))) {
         found.retain(|file| is_mcap(path(file)));
     }
     found
-}
-
-/// The MCAP files of a folder; where there are none, its bags, so that they are refused with what to do.
-fn folder_paths(folder: &FilePath) -> Result<Vec<PathBuf>, Fault> {
-    let entries = std::fs::read_dir(folder)
-        .and_then(|entries| {
-            entries
-                .map(|e| Ok(e?.path()))
-                .collect::<Result<Vec<_>, _>>()
-        })
-        .map_err(|error| Fault::resource(error.to_string()).at(folder.display()))?;
-    let with = |extensions: &[&str]| -> Vec<PathBuf> {
-        let fits = |path: &&PathBuf| {
-            let extension = path.extension().and_then(|e| e.to_str());
-            !path.is_dir() && extension.is_some_and(|found| extensions.contains(&found))
-        };
-        entries.iter().filter(fits).cloned().collect()
-    };
-    let logs = with(&["mcap"]);
-    Ok(if logs.is_empty() {
-        with(&["bag", "db3"])
-    } else {
-        logs
-    })
 }
 
 async fn remote(runtime: &RuntimeEnv, url: &Url) -> Result<Vec<LogFile>, Fault> {

@@ -1,9 +1,10 @@
-//! What attachments and metadata records are called, without what they hold.
+//! What attachments and metadata records are called, and whether they are sound, without what they hold.
 
 use evermap_schemas::Fault;
 use mcap::records::op;
 
 use crate::log::index::Unit;
+use crate::log::metadata;
 use crate::log::record::{FRAME, frame, nanoseconds};
 use crate::log::window::Window;
 use crate::losses::{Loss, Reason};
@@ -12,7 +13,7 @@ use crate::session::LogPart;
 /// Bytes from the start of a record that are read.
 pub(crate) const HEAD: u64 = 64 << 10;
 /// Letters of a name that are kept.
-const LONGEST_NAME: usize = 256;
+pub(crate) const LONGEST_NAME: usize = 256;
 
 /// What stands before an attachment's bytes.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -33,8 +34,9 @@ impl AttachmentHead {
     /// From the first bytes of a record; `None` where they are of no sound attachment, or do not hold all that stands
     /// before its bytes.
     pub(crate) fn parse(record: &[u8]) -> Option<Self> {
-        let (_, length) = frame(record)?;
-        let head = body(record, op::ATTACHMENT)?;
+        let (opcode, length) = frame(record)?;
+        let head = record.get(FRAME as usize..);
+        let head = head.filter(|_| opcode == op::ATTACHMENT)?;
         let time = |at: usize| Some(u64::from_le_bytes(*head.get(at..)?.first_chunk()?));
         let mut rest = head.get(16..)?;
         let found = Self {
@@ -68,14 +70,19 @@ impl LogPart {
                         ..head
                     });
                 }
-                _ => lose(self, unit),
+                _ => {
+                    let detail = format!(
+                        "expected a name in the first {HEAD} B and a right checksum, found others"
+                    );
+                    lose(self, unit, detail);
+                }
             }
         }
         found.sort_by(|a, b| (a.log_time, &a.name).cmp(&(b.log_time, &b.name)));
         Ok(found)
     }
 
-    /// Names of the metadata records, sorted. What is malformed is noted as lost.
+    /// Names of the metadata records, sorted. Each is read whole: what is malformed is noted as lost, as it is by queries.
     ///
     /// # Errors
     /// A resource fault when the store fails.
@@ -83,10 +90,9 @@ impl LogPart {
         let mut found = Vec::new();
         let mut window = window(self);
         for unit in &self.index.metadata {
-            let record = head(&mut window, unit).await?;
-            match body(&record, op::METADATA).and_then(|mut rest| text(&mut rest)) {
-                Some(name) => found.push(shortened(&name)),
-                None => lose(self, unit),
+            match metadata::named(&mut window, unit).await? {
+                Ok(name) => found.push(name),
+                Err(detail) => lose(self, unit, detail),
             }
         }
         found.sort();
@@ -114,18 +120,10 @@ async fn head(window: &mut Window, unit: &Unit) -> Result<bytes::Bytes, Fault> {
     Ok(head.unwrap_or_default())
 }
 
-fn lose(part: &LogPart, unit: &Unit) {
-    let detail =
-        format!("expected a name in the first {HEAD} B and a right checksum, found others");
+fn lose(part: &LogPart, unit: &Unit, detail: String) {
     let loss = Loss::one(unit.length);
     part.losses
         .note(Reason::BadAttachment, unit.offset, loss, detail);
-}
-
-/// The body of a record of this kind.
-fn body(record: &[u8], opcode: u8) -> Option<&[u8]> {
-    let (found, _) = frame(record)?;
-    record.get(FRAME as usize..).filter(|_| found == opcode)
 }
 
 /// A text behind its length.

@@ -12,6 +12,7 @@ use serde::{Deserialize, Serialize};
 use crate::log::definition::{Definition, LogChannel, LogSchema};
 use crate::log::pace::Pace;
 use crate::log::record::{MAGIC, nanoseconds};
+use crate::log::summary::Found;
 use crate::log::{linear, summary};
 use crate::losses::{Entry, LossLedger};
 
@@ -163,13 +164,16 @@ pub struct LogIndex {
     pub sum: Option<DataSum>,
     /// Whether the file's own summary was used.
     pub indexed: bool,
+    /// Whether the file has a summary that was not: it is damaged, or contradicts the file.
+    #[serde(default)]
+    pub unbelieved: bool,
     /// What was lost while the index was read.
     pub losses: Vec<Entry>,
 }
 
 impl LogIndex {
     /// Raised where the same file gives another index, or other losses: what was kept before is then read anew.
-    pub const VERSION: u32 = 3;
+    pub const VERSION: u32 = 4;
 
     /// Reads the index of the file at `meta.location`: the summary where there is a sound one, else the whole file, one
     /// record at a time.
@@ -181,13 +185,20 @@ impl LogIndex {
         check_kind(store, meta).await?;
         let ledger = LossLedger::new();
         let losses = ledger.of_file(meta.location.as_ref());
-        let indexed = match summary::read(store, meta).await? {
-            Some(found) => linear::with_gaps(store, meta, found, &losses).await?,
-            None => None,
+        let (indexed, unbelieved) = match summary::read(store, meta).await? {
+            Found::Sound(found) => {
+                let index = linear::with_gaps(store, meta, *found, &losses).await?;
+                (index, true)
+            }
+            Found::Unbelieved => (None, true),
+            Found::Nothing => (None, false),
         };
         let index = match indexed {
             Some(index) => index,
-            None => linear::read(store, meta, &losses).await?,
+            None => Self {
+                unbelieved,
+                ..linear::read(store, meta, &losses).await?
+            },
         };
         Ok(Self {
             size: meta.size,

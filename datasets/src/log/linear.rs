@@ -6,7 +6,7 @@ use std::sync::Arc;
 
 use bytes::Bytes;
 use evermap_schemas::Fault;
-use mcap::records::{Record, op};
+use mcap::records::{Record, Statistics, op};
 use object_store::{ObjectMeta, ObjectStore};
 
 use crate::log::census::longest;
@@ -21,6 +21,7 @@ use crate::losses::{FileLosses, Loss, Reason};
 
 mod checksum;
 mod chunks;
+mod counts;
 
 /// Messages outside chunks are read in runs of this many bytes.
 const RUN: u64 = 1 << 20;
@@ -33,11 +34,14 @@ pub(crate) async fn read(
 ) -> Result<LogIndex, Fault> {
     let mut scan = Scan::new(Collector::default(), store, meta, meta.size, losses);
     let ended = scan.run(MAGIC.len() as u64, meta.size).await?;
-    if let Ended::Early(at) = ended {
-        scan.torn_chunk(at, meta.size).await?;
-        let rest = meta.size - at.min(meta.size);
-        let loss = Loss::one(rest);
-        losses.note(Reason::Torn, at, loss, "no end record");
+    match ended {
+        Ended::Early(at) => {
+            scan.torn_chunk(at, meta.size).await?;
+            let rest = meta.size - at.min(meta.size);
+            let loss = Loss::one(rest);
+            losses.note(Reason::Torn, at, loss, "no end record");
+        }
+        Ended::AtEnd => scan.compare_counts(meta.size),
     }
     scan.note_full();
     let messages = scan.messages();
@@ -126,6 +130,8 @@ struct Scan<'a> {
     checked: bool,
     /// Messages outside of chunks.
     loose: u64,
+    /// What the recorder counted, where that stands behind the end of the data: of several records the last.
+    said: Option<Statistics>,
 }
 
 /// A growing stretch of messages outside chunks.
@@ -162,6 +168,7 @@ impl<'a> Scan<'a> {
             left: None,
             checked: false,
             loose: 0,
+            said: None,
         }
     }
 
@@ -199,8 +206,8 @@ impl<'a> Scan<'a> {
         }
     }
 
-    /// Reads the records between two offsets. Behind the end of the data section only definitions are of use: a
-    /// damaged chunk may have been the only other place of them.
+    /// Reads the records between two offsets. Behind the end of the data section only definitions are of use, as a damaged
+    /// chunk may have been the only other place of them, and what the recorder counted.
     async fn run(&mut self, start: u64, end: u64) -> Result<Ended, Fault> {
         let mut position = start;
         let mut data_ended = false;
@@ -223,6 +230,7 @@ impl<'a> Scan<'a> {
                     let detail = "behind the end of the data";
                     (self.losses).note(Reason::BadRecord, position, Loss::one(length), detail);
                 }
+                op::STATISTICS if data_ended => self.statistics(position, length).await?,
                 _ if data_ended => {}
                 _ => self.record(opcode, position, length).await?,
             }

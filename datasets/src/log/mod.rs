@@ -8,6 +8,7 @@ pub mod definition;
 pub mod heads;
 pub mod index;
 mod linear;
+pub(crate) mod metadata;
 pub mod pace;
 pub mod record;
 mod summary;

@@ -28,35 +28,52 @@ pub(crate) struct Summary {
     pub indexed: Option<u64>,
 }
 
-/// Reads the summary; `None` where there is none, where it is damaged, where it contradicts the file's size, or where
-/// it does not describe the channels of the file. Then the file must be read from its start.
+/// What the end of a file says of a summary.
+pub(crate) enum Found {
+    /// There is none, or the file has no end.
+    Nothing,
+    /// One that is damaged, contradicts the file's size, or does not describe the channels of the file.
+    Unbelieved,
+    /// One that can be used.
+    Sound(Box<Summary>),
+}
+
+/// Reads the summary. Where there is no sound one, the file must be read from its start.
 ///
 /// # Errors
 /// A resource fault when the store fails.
-pub(crate) async fn read(
-    store: &Arc<dyn ObjectStore>,
-    meta: &ObjectMeta,
-) -> Result<Option<Summary>, Fault> {
-    let magic = MAGIC.len() as u64;
-    if meta.size < 2 * magic + FOOTER {
-        return Ok(None);
+pub(crate) async fn read(store: &Arc<dyn ObjectStore>, meta: &ObjectMeta) -> Result<Found, Fault> {
+    if meta.size < 2 * MAGIC.len() as u64 + FOOTER {
+        return Ok(Found::Nothing);
     }
     let tail_start = meta.size.saturating_sub(TAIL);
     let tail = fetch(store, meta, tail_start..meta.size).await?;
-    let footer_start = meta.size - magic - FOOTER;
-    let Some(footer) = footer(&tail) else {
-        return Ok(None);
+    let Some(footer) = footer(&tail).filter(|footer| footer.summary_start != 0) else {
+        return Ok(Found::Nothing);
     };
+    let window = Window::new(store.clone(), meta.clone(), meta.size);
+    let window = window.holding(tail_start, tail);
+    let summary = sound(store, meta, &footer, window).await?;
+    Ok(summary.map_or(Found::Unbelieved, |summary| Found::Sound(Box::new(summary))))
+}
+
+/// The summary that the footer leads to, where it can be used.
+async fn sound(
+    store: &Arc<dyn ObjectStore>,
+    meta: &ObjectMeta,
+    footer: &Footer,
+    mut window: Window,
+) -> Result<Option<Summary>, Fault> {
+    let magic = MAGIC.len() as u64;
+    let footer_start = meta.size - magic - FOOTER;
     if footer.summary_start < magic || footer.summary_start >= footer_start {
         return Ok(None);
     }
-    let window = Window::new(store.clone(), meta.clone(), meta.size);
-    let mut window = window.holding(tail_start, tail);
     let section = footer.summary_start..footer_start;
     let Some(found) = Section::read(&mut window, section.clone()).await? else {
         return Ok(None);
     };
-    if !checksum_fits(&footer, &mut window, section).await? {
+    if !checksum_fits(footer, &mut window, section).await? {
         tracing::warn!(file = %meta.location, "the summary does not match its checksum: reading the file from its start");
         return Ok(None);
     }

@@ -3,15 +3,18 @@
 //! What a chunk claims to hold is not believed beyond what its bytes can make likely: memory grows with what comes out.
 
 use std::cell::RefCell;
-use std::io::{self, BufRead, BufReader, ErrorKind, Read};
+use std::io::{self, BufReader, ErrorKind, Read};
 
 use bytes::Bytes;
-use lz4_flex::frame::FrameDecoder;
 use zstd::bulk::Decompressor;
 use zstd::stream::raw::{DParameter, Decoder, InBuffer, Operation, OutBuffer};
 
 use crate::log::chunk::Damage;
 use crate::losses::Reason;
+
+mod lz4;
+
+use lz4::Lz4;
 
 /// Chunks that claim to be larger than this after decompression are not believed.
 pub const LARGEST_CHUNK: u64 = 2 << 30;
@@ -101,7 +104,7 @@ fn at_once(compression: &str, data: &[u8], size: usize) -> io::Result<Vec<u8>> {
             zstd.decompress_to_buffer(data, &mut bytes)
         })?;
     } else {
-        let lz4 = Lz4(FrameDecoder::new(data));
+        let lz4 = Lz4::new(data);
         lz4.take(size as u64 + 1).read_to_end(&mut bytes)?;
     }
     match bytes.len() == size {
@@ -120,25 +123,11 @@ pub(crate) fn reader<'a>(
 ) -> Result<Box<dyn Read + Send + 'a>, Damage> {
     Ok(match compression {
         "" => Box::new(data),
-        "lz4" => Box::new(Lz4(FrameDecoder::new(BufReader::new(data)))),
+        "lz4" => Box::new(Lz4::new(BufReader::new(data))),
         _ => {
             Box::new(Zstd::new(data).map_err(|error| (Reason::BadCompression, error.to_string()))?)
         }
     })
-}
-
-/// LZ4 frames, one behind the other: their decoder ends with the first.
-struct Lz4<R: BufRead>(FrameDecoder<R>);
-
-impl<R: BufRead> Read for Lz4<R> {
-    fn read(&mut self, bytes: &mut [u8]) -> io::Result<usize> {
-        loop {
-            let read = self.0.read(bytes)?;
-            if read > 0 || bytes.is_empty() || self.0.get_mut().fill_buf()?.is_empty() {
-                return Ok(read);
-            }
-        }
-    }
 }
 
 /// zstd frames, block by block: whatever a decoder is given with a damaged block, it does not hand out.

@@ -8,10 +8,11 @@ use arrow::array::{ArrayRef, RecordBatch};
 use arrow::datatypes::SchemaRef;
 use async_trait::async_trait;
 use evermap_schemas::{Bytes, Fault, Record as _, Stamp, record};
-use mcap::records::Record;
+use mcap::records::{Record, op};
 
 use crate::log::heads::{AttachmentHead, HEAD};
 use crate::log::index::{LogIndex, Unit, UnitKind};
+use crate::log::metadata;
 use crate::log::record::{nanoseconds, parse, split};
 use crate::scan::rows::{MessageAt, RowBuilder, projected};
 use crate::scan::table::{LogTable, schema_of};
@@ -246,6 +247,9 @@ impl RowBuilder for RecordRows {
         let (opcode, body, _) = split(record).ok_or("a record that is cut")?;
         if self.bytes + body.len() > i32::MAX as usize {
             return Err("records larger than 2 GiB".to_owned());
+        }
+        if opcode == op::METADATA {
+            metadata::check(body)?;
         }
         let record = parse(opcode, body)?.into_owned();
         match (unit.kind, &record) {

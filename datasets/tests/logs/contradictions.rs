@@ -4,12 +4,14 @@
 use evermap_datasets::Reason;
 use evermap_datasets::fault::fault_of;
 use evermap_datasets::log::index::LogIndex;
+use evermap_datasets::log::record::{FRAME, MAGIC};
+use mcap::records::op;
 
 use crate::common::by_hand::{
     channel, chunk, chunk_index, chunk_index_of, file, first, message, message_at, message_index,
     record, schema, statistics, text, transform, transforms,
 };
-use crate::common::{count, in_memory, open_in, packed};
+use crate::common::{Log, count, in_memory, open_in, packed, record_places, without_chunk};
 use crate::hostile::{messages, opened, rows};
 
 /// A chunk of five messages of `/a` and of `/b` each, at 1 to 5 ns, with its message indexes.
@@ -133,6 +135,65 @@ async fn messages_that_are_counted_and_not_there_are_said_by_who_reads_everythin
     assert!(said.len() == 1 && said[0].contains(expected), "{said:?}");
 }
 
+/// The summary of a log that a chunk was cut out of leads nowhere: what it counts is said all the same. So it is where the
+/// footer was led to the summary again.
+#[tokio::test]
+async fn messages_that_went_with_a_chunk_are_counted_by_whatever_opens_the_log() {
+    let log = Log {
+        chunk: Some(300),
+        ..Log::default()
+    };
+    let whole = log.write();
+    let chunks = record_places(&whole).into_iter();
+    let chunks = chunks.filter(|(opcode, _)| *opcode == op::CHUNK).count();
+    assert!(chunks > 4);
+    for which in [0, 2, chunks - 1] {
+        for led in [false, true] {
+            let mut cut = without_chunk(&whole, which);
+            let mut places = record_places(&cut).into_iter();
+            let (_, end) = places.find(|(opcode, _)| *opcode == op::DATA_END).unwrap();
+            cut[end.start + FRAME as usize..][..4].fill(0);
+            if led {
+                let footer = cut.len() - MAGIC.len() - 20;
+                let start = u64::from_le_bytes(*cut[footer..].first_chunk().unwrap());
+                let start = start - (whole.len() - cut.len()) as u64;
+                cut[footer..footer + 8].copy_from_slice(&start.to_le_bytes());
+                cut[footer + 16..footer + 20].fill(0);
+            }
+            let (context, dataset) = opened(&cut).await;
+            let found = count(&context, "SELECT sequence FROM messages").await;
+            assert!((20..60).contains(&found), "{found}");
+            let entries = dataset.losses.entries();
+            let said: Vec<_> = entries.iter().map(|e| (e.reason, &*e.detail)).collect();
+            let short = format!("expected 60 messages as the summary says, found {found}");
+            assert_eq!(said, [(Reason::BadSummary, &*short)]);
+            assert!(dataset.parts()[0].index.unbelieved);
+        }
+    }
+    let (_, dataset) = opened(&whole).await;
+    assert!(dataset.losses.is_empty() && !dataset.parts()[0].index.unbelieved);
+}
+
+/// The sum is right, and one of the channels is described nowhere.
+#[tokio::test]
+async fn messages_that_are_counted_of_a_channel_that_nobody_describes_are_said() {
+    let (whole, length, size) = two_topics();
+    let listed = [(1, 5), (2, 5)];
+    let summary = [
+        channel(1, 0, "/a", "json"),
+        channel(2, 0, "/b", "json"),
+        chunk_index_of((1, 5), first(), length, size, &listed),
+        statistics((1, 5), 2, &[(1, 5), (3, 5)]),
+    ];
+    let indexes = [message_index(1, 5), message_index(2, 5)].concat();
+    let log = file(&[whole, indexes], &summary);
+    assert_eq!(rows(&log, "/b").await, (5, vec![(Reason::BadSummary, 1)]));
+    let (_, dataset) = opened(&log).await;
+    let said =
+        "channel 3, which nobody describes: expected 5 messages as the summary says, found 0";
+    assert_eq!(dataset.losses.entries()[0].detail, said);
+}
+
 #[tokio::test]
 async fn an_attachment_whose_entry_covers_a_chunk_hides_none() {
     let (whole, _, _) = two_topics();
@@ -197,6 +258,24 @@ async fn frames_of_lz4_behind_each_other_are_one_chunk() {
         rows(&log, "/t").await,
         (3, vec![(Reason::BadCompression, 1)])
     );
+}
+
+#[tokio::test]
+async fn frames_of_lz4_that_hold_nothing_are_skipped_and_what_is_no_frame_is_counted() {
+    let inner = [channel(1, 0, "/t", "json"), messages(&[1], 3)].concat();
+    let frame = packed("lz4", &inner);
+    let nothing = [&[0x5A, 0x2A, 0x4D, 0x18, 4, 0, 0, 0][..], b"note"].concat();
+    let whole = (3, vec![]);
+    let damaged = (3, vec![(Reason::BadCompression, 1)]);
+    for (data, expected) in [
+        ([&nothing[..], &frame].concat(), &whole),
+        ([&frame[..], &nothing].concat(), &whole),
+        ([&frame[..], b"more"].concat(), &damaged),
+        (frame[..frame.len() - 4].to_vec(), &damaged),
+    ] {
+        let log = file(&[chunk(inner.len() as u64, "lz4", &data)], &[]);
+        assert_eq!(rows(&log, "/t").await, *expected);
+    }
 }
 
 #[tokio::test]

@@ -8,7 +8,10 @@ use std::sync::atomic::AtomicU64;
 use crate::common::by_hand::{
     channel, checked_chunk, chunk_index_of, file, first, message, message_index, statistics,
 };
-use crate::common::{Log, complete_messages, context, count, files, in_memory, open_in, shared};
+use crate::common::{
+    Log, complete_messages, context, count, files, in_memory, open_in, record_places, shared,
+    without_chunk,
+};
 use arrow::array::AsArray;
 use arrow::datatypes::UInt32Type;
 use datafusion::catalog::TableProvider;
@@ -338,6 +341,46 @@ async fn a_flipped_bit_beside_chunks_is_counted_by_who_digests_the_log() {
     let (of_flipped, found) = digested(&flipped).await;
     assert_eq!(found, [Reason::BadData]);
     assert_ne!(of_flipped, digest);
+}
+
+/// Every chunk that is left matches its own checksum, and nothing was counted: the checksum of all data alone says that one is
+/// gone.
+#[tokio::test]
+async fn a_chunk_that_is_gone_is_counted_by_the_checksum_of_all_data() {
+    let log = Log {
+        chunk: Some(300),
+        indexed: false,
+        ..Log::default()
+    }
+    .write();
+    assert!(messages(&log).await.unwrap().1.is_empty());
+    let mut cut = without_chunk(&log, 2);
+    let (sequences, losses) = messages(&cut).await.unwrap();
+    assert!((20..60).contains(&sequences.len()));
+    let reasons: Vec<Reason> = losses.losses().into_keys().collect();
+    assert_eq!(reasons, [Reason::BadData]);
+    // Nobody made one.
+    let end = data_end(&cut);
+    cut[end + FRAME as usize..][..4].fill(0);
+    assert!(messages(&cut).await.unwrap().1.is_empty());
+}
+
+/// Of a log with a sound summary, whose message indexes nobody needs.
+#[tokio::test]
+async fn a_flipped_bit_between_chunks_is_counted_by_who_reads_everything() {
+    let mut log = Log {
+        chunk: Some(300),
+        ..Log::default()
+    }
+    .write();
+    assert_eq!(surveyed(&log).await, (vec![], 0));
+    let mut places = record_places(&log).into_iter();
+    let index = places.find(|(opcode, _)| *opcode == op::MESSAGE_INDEX);
+    log[index.unwrap().1.end - 1] ^= 1;
+    assert!(messages(&log).await.unwrap().1.is_empty());
+    let (found, unchecked) = surveyed(&log).await;
+    assert_eq!((found.len(), unchecked), (1, 0), "{found:?}");
+    assert_eq!(found[0].0, Reason::BadData);
 }
 
 #[tokio::test]

@@ -201,6 +201,50 @@ async fn attachments_are_listed_in_less_memory_than_they_hold() {
     assert!(dataset.losses.is_empty(), "{:?}", dataset.losses.entries());
 }
 
+/// Who lists metadata says of what is damaged the same as who reads it.
+#[tokio::test]
+async fn damaged_metadata_is_counted_by_who_lists_it_and_by_who_reads_it() {
+    let entries = |texts: &[&[u8]]| {
+        let texts = texts.iter().flat_map(|bytes| text(bytes));
+        text(&texts.collect::<Vec<u8>>())
+    };
+    let metadata =
+        |name: &[u8], entries: &[u8]| record(12, &[text(name), entries.to_vec()].concat());
+    let classes: &[&[u8]] = &[b"1", b"road", b"2", b"car"];
+    let good = metadata(b"good", &entries(classes));
+    let twice = entries(&[b"1", b"road", b"2", b"car", b"1", b"tree"]);
+    let beyond = [&999_u32.to_le_bytes()[..], &entries(&[b"1", b"road"])[4..]].concat();
+    for (bad, said) in [
+        (
+            metadata(b"bad", &twice),
+            "expected each key once, found \"1\" twice",
+        ),
+        (
+            metadata(b"bad", &beyond),
+            "expected entries of at most 13 B, found a claim of 999 B",
+        ),
+        (
+            metadata(b"b\xff", &entries(classes)),
+            "expected a name in UTF-8, found another one behind \"b\"",
+        ),
+        (
+            metadata(b"bad", &entries(&[b"1", b"r\xff"])),
+            "expected a value in UTF-8, found another one behind \"r\"",
+        ),
+    ] {
+        let log = file(&[good.clone(), bad], &[]);
+        let (context, dataset) = opened(&log).await;
+        assert_eq!(count(&context, "SELECT * FROM metadata").await, 1);
+        let read = dataset.losses.entries();
+        let told: Vec<_> = read.iter().map(|e| (e.reason, &*e.detail)).collect();
+        assert_eq!(told, [(Reason::BadAttachment, said)]);
+        let (_, dataset) = opened(&log).await;
+        let names = dataset.parts()[0].metadata_names().await.unwrap();
+        assert_eq!(names, ["good"]);
+        assert_eq!(dataset.losses.entries(), read);
+    }
+}
+
 #[tokio::test]
 async fn a_torn_or_damaged_chunk_gives_the_messages_before_the_damage() {
     let mut state = 7_u64;
@@ -365,6 +409,86 @@ async fn a_file_that_is_no_log_is_lost_alone() {
     }
     let bad = [path("empty.mcap"), path("other.mcap")];
     Dataset::open(&runtime, &bad, None).await.unwrap_err();
+}
+
+/// What a folder and patterns find: rows of `/t`, and each file that cannot be read.
+#[cfg(target_os = "linux")]
+async fn found_at(given: &str) -> (usize, Vec<String>) {
+    let context = context(1);
+    let runtime = context.runtime_env();
+    let dataset = Dataset::open(&runtime, &[given.to_owned()], None)
+        .await
+        .unwrap();
+    dataset.register(&context).unwrap();
+    let rows = count(&context, "SELECT * FROM \"/t\"").await;
+    (rows, dataset.losses.told().into_keys().collect())
+}
+
+/// Names that no store has and no line of text says: such a log is counted, and the others are read.
+#[cfg(target_os = "linux")]
+#[tokio::test]
+async fn a_log_of_a_name_that_cannot_be_said_is_lost_alone() {
+    use std::ffi::OsStr;
+    use std::os::unix::ffi::OsStrExt;
+
+    let log = file(&[channel(1, 0, "/t", "json"), messages(&[1], 3)], &[]);
+    let said = "expected names in UTF-8 without control characters, found another one";
+    for (bad, shown) in [
+        (&b"b\xff.mcap"[..], "b\\xFF.mcap"),
+        (&b"tab\t.mcap"[..], "tab\\t.mcap"),
+        (&b"line\nbreak.mcap"[..], "line\\nbreak.mcap"),
+        (&b"one\x01.mcap"[..], "one\\u{1}.mcap"),
+    ] {
+        let folder = tempfile::tempdir().unwrap();
+        let text = folder.path().display().to_string();
+        let ways = [
+            text.clone(),
+            format!("{text}/*.mcap"),
+            format!("{text}/**/*.mcap"),
+        ];
+        let good = folder.path().join("good.mcap");
+        std::fs::write(&good, &log).unwrap();
+        std::fs::write(folder.path().join(OsStr::from_bytes(bad)), &log).unwrap();
+        for given in &ways {
+            let (rows, told) = found_at(given).await;
+            assert_eq!((rows, told.len()), (3, 1), "{given} {shown}: {told:?}");
+            let line = told[0].as_str();
+            assert!(
+                line.starts_with(&format!("{text}/{shown}: files")),
+                "{line}"
+            );
+            assert!(line.contains(said) && line.ends_with("rename it"), "{line}");
+            assert!(!line.contains(char::is_control), "{line:?}");
+        }
+        std::fs::remove_file(good).unwrap();
+        for given in ways {
+            let runtime = context(1).runtime_env();
+            let fault = Dataset::open(&runtime, &[given], None).await.unwrap_err();
+            let fault = fault.to_string();
+            assert!(fault.contains(said) && fault.contains(shown), "{fault}");
+        }
+    }
+}
+
+/// Names that would be shown as one, and a folder of such a name on the way.
+#[cfg(target_os = "linux")]
+#[tokio::test]
+async fn every_name_that_cannot_be_said_is_counted() {
+    use std::ffi::OsStr;
+    use std::os::unix::ffi::OsStrExt;
+
+    let log = file(&[channel(1, 0, "/t", "json"), messages(&[1], 3)], &[]);
+    let folder = tempfile::tempdir().unwrap();
+    let text = folder.path().display().to_string();
+    for (name, inner) in [&b"a"[..], b"d\xfe", b"d\xff"].iter().zip(["a", "b", "c"]) {
+        let folder = folder.path().join(OsStr::from_bytes(name));
+        std::fs::create_dir(&folder).unwrap();
+        std::fs::write(folder.join(inner).with_extension("mcap"), &log).unwrap();
+    }
+    for pattern in ["*/[abc].mcap", "*/*.mcap", "*"] {
+        let (rows, told) = found_at(&format!("{text}/{pattern}")).await;
+        assert_eq!((rows, told.len()), (3, 2), "{pattern}: {told:?}");
+    }
 }
 
 #[cfg(unix)]

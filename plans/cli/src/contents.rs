@@ -23,6 +23,8 @@ pub struct Contents {
     pub library: String,
     /// Whether the file's own summary was used; else it was read from its start.
     pub indexed: bool,
+    /// Whether it has a summary that was not: it is damaged, or contradicts the file.
+    pub unbelieved: bool,
     /// Messages; null where nobody counted them.
     pub messages: Option<u64>,
     /// Log time of the first message, nanoseconds since the epoch.

@@ -215,6 +215,8 @@ impl<'de> Visitor<'de> for Slot<'_, '_> {
         self.sink.checked(absent)
     }
 
+    /// A flag where a number is expected is 1 or 0: bridges of field buses give all values one type, `number`, and send coils
+    /// and alarms as flags.
     fn visit_bool<E: Error>(self, value: bool) -> Result<(), E> {
         let Shape::Boolean = self.shape else {
             let number = u8::from(value);

@@ -33,13 +33,10 @@ impl Scan<'_> {
         Ok(())
     }
 
-    /// Compares the checksum with that of the end record at `position`, of which 0 stands for none. Chunks that match
-    /// their own leave nothing to compare where no message is outside of them.
+    /// Compares the checksum with that of the end record at `position`, of which 0 stands for none. That all chunks match
+    /// their own says nothing of one that is gone.
     pub(super) async fn compare(&mut self, position: u64, length: u64) -> Result<(), Fault> {
         let checksum = self.checksum.take();
-        if self.checked && self.loose == 0 {
-            return Ok(());
-        }
         let body = self.window.get(position + FRAME, length.min(4)).await?;
         let body = body.unwrap_or_default();
         let expected = body.first_chunk().map_or(0, |crc| u32::from_le_bytes(*crc));
@@ -55,7 +52,9 @@ impl Scan<'_> {
         let mismatch = sum.mismatch(checksum.finish());
         if let Some(detail) = mismatch.filter(|_| self.compared) {
             let elsewhere = match self.checked {
-                true => ": what differs is outside of chunks, which match theirs",
+                true => {
+                    ": chunks are missing, or what differs is outside of chunks, which match theirs"
+                }
                 false => "",
             };
             let detail = format!("{detail}{elsewhere}");

@@ -3,6 +3,7 @@
 
 use std::collections::BTreeMap;
 use std::io::{Cursor, Read};
+use std::ops::Range;
 use std::path::PathBuf;
 use std::sync::Arc;
 
@@ -194,6 +195,27 @@ pub fn packed(compression: &str, bytes: &[u8]) -> Vec<u8> {
         }
         _ => bytes.to_vec(),
     }
+}
+
+/// The records of a log outside of chunks: opcode and place.
+pub fn record_places(log: &[u8]) -> Vec<(u8, Range<usize>)> {
+    let (mut at, mut found) = (MAGIC.len(), Vec::new());
+    while let Some((opcode, _, used)) = log.get(at..).and_then(split) {
+        found.push((opcode, at..at + used));
+        at += used;
+    }
+    found
+}
+
+/// A log without one of its chunks and the indexes of its messages; nothing else is changed.
+pub fn without_chunk(log: &[u8], which: usize) -> Vec<u8> {
+    let places = record_places(log);
+    let mut chunks = (0..places.len()).filter(|at| places[*at].0 == op::CHUNK);
+    let chunk = chunks.nth(which).unwrap();
+    let mut behind = places[chunk + 1..].iter();
+    let behind = behind.find(|(opcode, _)| *opcode != op::MESSAGE_INDEX);
+    let (start, end) = (places[chunk].1.start, behind.unwrap().1.start);
+    [&log[..start], &log[end..]].concat()
 }
 
 /// Messages of a torn log that are complete: those of its whole records, and of a chunk that is cut as many as a plain

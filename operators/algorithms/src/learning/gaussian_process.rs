@@ -8,7 +8,7 @@
 //!
 //! Source: Rasmussen & Williams, *Gaussian processes for machine learning* (2006), sections 2.1, 2.3, 3.7 and 5.4.
 
-use faer::{Mat, Side};
+use faer::{Mat, MatRef, Side};
 use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;
 
@@ -16,6 +16,9 @@ use rayon::prelude::*;
 const NOISE_DECADES: [i32; 2] = [-4, 2];
 /// Values by decade.
 const STEPS: i32 = 8;
+
+/// Samples that are multiplied with the covariance's root together: each by itself reads all of it.
+const TOGETHER: usize = 64;
 
 /// Samples that are weighed as questions, at most: the least certain. The time to weigh them takes the square of it.
 pub(crate) const UNCERTAIN: usize = 500;
@@ -46,7 +49,7 @@ pub struct LinearProcess {
     /// `ρ s²`.
     noise: f64,
     /// A root of the covariance of `w`, row by row.
-    spread: Vec<Vec<f64>>,
+    spread: Vec<f64>,
 }
 
 /// What is known of `f` at a sample.
@@ -104,14 +107,15 @@ impl LinearProcess {
         }
         let noise = ratio * scale;
         let root = |value: f64| (noise / (value + ratio)).sqrt();
-        let spread = |(axis, value): (Vec<f64>, &f64)| -> Vec<f64> {
-            axis.into_iter().map(|part| part * root(*value)).collect()
-        };
+        let spread = axes.iter().zip(&values).flat_map(|(axis, value)| {
+            let root = root(*value);
+            axis.iter().map(move |part| part * root)
+        });
         Ok(Self {
+            spread: spread.collect(),
             weights,
             scale,
             noise,
-            spread: axes.into_iter().zip(&values).map(spread).collect(),
         })
     }
 
@@ -123,9 +127,8 @@ impl LinearProcess {
             && weights.iter().all(|value| value.is_finite());
         let is_variance = |value: f64| value >= 0.0 && value.is_finite();
         let is_sound = is_whole && is_finite && is_variance(scale) && is_variance(noise);
-        let row = |row: &[f32]| row.iter().map(|value| f64::from(*value)).collect();
         is_sound.then(|| Self {
-            spread: spread.chunks(weights.len()).map(row).collect(),
+            spread: spread.iter().map(|value| f64::from(*value)).collect(),
             weights,
             scale,
             noise,
@@ -139,8 +142,7 @@ impl LinearProcess {
 
     /// A root of the covariance of `w`, row by row: `covariance = spreadᵀ spread`.
     pub fn spread(&self) -> Vec<f32> {
-        let values = self.spread.iter().flatten();
-        values.map(|value| *value as f32).collect()
+        self.spread.iter().map(|value| *value as f32).collect()
     }
 
     /// Mean of `w`: the mean of `f` at a sample is their product.
@@ -153,16 +155,51 @@ impl LinearProcess {
         self.noise
     }
 
+    /// The mean of `f` at a sample.
+    pub fn mean(&self, sample: &[f32]) -> f64 {
+        let products = self.weights.iter().zip(sample);
+        products
+            .map(|(weight, value)| weight * f64::from(*value))
+            .sum()
+    }
+
     /// What is known of `f` at a sample.
     pub fn at(&self, sample: &[f32]) -> Posterior {
-        let sample: Vec<f64> = sample.iter().map(|value| f64::from(*value)).collect();
-        let spread: Vec<f64> = self
-            .spread
-            .iter()
-            .map(|row| product(row, &sample))
-            .collect();
+        let spread = self.spread.chunks(self.weights.len().max(1));
+        let value = |row: &[f64]| {
+            let products = row.iter().zip(sample);
+            products.map(|(x, y)| x * f64::from(*y)).sum::<f64>()
+        };
+        self.known(sample, spread.map(value).collect())
+    }
+
+    /// What is known of `f` at samples, in their order.
+    pub fn at_each<S: AsRef<[f32]> + Sync>(&self, samples: &[S]) -> Vec<Posterior> {
+        let known = samples.par_chunks(TOGETHER).flat_map_iter(|samples| {
+            let spreads = self.spreads(samples);
+            samples.iter().enumerate().map(move |(at, sample)| {
+                let spread = spreads.col(at).iter().copied();
+                self.known(sample.as_ref(), spread.collect())
+            })
+        });
+        known.collect()
+    }
+
+    /// Products of the covariance's root with samples, one in each column.
+    fn spreads<S: AsRef<[f32]>>(&self, samples: &[S]) -> Mat<f64> {
+        let length = self.weights.len();
+        let value = |at: usize, sample: usize| {
+            let value = samples[sample].as_ref().get(at);
+            value.map_or(0.0, |value| f64::from(*value))
+        };
+        let rows = self.spread.len() / length.max(1);
+        let root = MatRef::from_row_major_slice(self.spread.as_slice(), rows, length);
+        root * Mat::from_fn(length, samples.len(), value)
+    }
+
+    fn known(&self, sample: &[f32], spread: Vec<f64>) -> Posterior {
         Posterior {
-            mean: product(&self.weights, &sample),
+            mean: self.mean(sample),
             variance: product(&spread, &spread),
             spread,
         }
@@ -175,10 +212,10 @@ impl LinearProcess {
     /// What an answer changes of the covariance does not depend on the answer (equation 2.26), so a whole list is made at
     /// once.
     pub fn questions(&self, known: &[Posterior], slopes: &[f64], most: usize) -> Vec<(usize, f64)> {
-        let covariance = |a: usize, b: usize| product(&known[a].spread, &known[b].spread);
         let count = known.len();
-        let row = |a: usize| -> Vec<f64> { (0..count).map(|b| covariance(a, b)).collect() };
-        let mut covariances: Vec<Vec<f64>> = (0..count).into_par_iter().map(row).collect();
+        let between = covariances(known);
+        let row = |a: usize| -> Vec<f64> { between.col(a).iter().copied().collect() };
+        let mut covariances: Vec<Vec<f64>> = (0..count).map(row).collect();
         let mut open: Vec<usize> = (0..count).collect();
         let mut questions = Vec::new();
         while questions.len() < most && !open.is_empty() {
@@ -214,11 +251,12 @@ impl LinearProcess {
     /// What would be held of some samples that it learnt from, had it not seen them and their answers: means, with the same
     /// noise and scale (equation 5.12, for more than one).
     pub fn left_out(&self, samples: &[&[f32]], answers: &[f64]) -> Vec<f64> {
-        let known: Vec<Posterior> = samples.iter().map(|sample| self.at(sample)).collect();
+        let known = self.at_each(samples);
         let count = samples.len();
+        let covariances = covariances(&known);
         let rest = |row: usize, column: usize| {
             let own = if row == column { 1.0 } else { 0.0 };
-            own - product(&known[row].spread, &known[column].spread) / self.noise
+            own - covariances[(row, column)] / self.noise
         };
         let rest = DMatrix::from_fn(count, count, rest);
         let short = DVector::from_fn(count, |at, _| answers[at] - known[at].mean);
@@ -264,6 +302,13 @@ impl Evidence<'_> {
         let best = tried.max_by(|a, b| a.0.total_cmp(&b.0));
         best.map_or((1.0, 1.0), |(_, ratio, scale)| (ratio, scale))
     }
+}
+
+/// The covariances of what is known at samples.
+fn covariances(known: &[Posterior]) -> Mat<f64> {
+    let rows = known.iter().map(|one| one.spread.len()).min().unwrap_or(0);
+    let roots = Mat::from_fn(rows, known.len(), |row, at| known[at].spread[row]);
+    roots.transpose() * &roots
 }
 
 fn product(a: &[f64], b: &[f64]) -> f64 {
@@ -348,11 +393,16 @@ mod tests {
         let (samples, answers) = examples(30);
         let learnt = LinearProcess::learn(&samples, &answers).unwrap();
         let dense = dense(&learnt, &samples, &answers);
-        for sample in &examples(40).0 {
+        // More than are multiplied together.
+        let asked = examples(2 * TOGETHER + 3).0;
+        let each = learnt.at_each(&asked);
+        assert_eq!(each.len(), asked.len());
+        for (sample, each) in asked.iter().zip(&each) {
             let (mean, variance) = dense.at(sample);
-            let found = learnt.at(sample);
-            assert!((found.mean - mean).abs() < 1e-9, "{} {mean}", found.mean);
-            assert!((found.variance - variance).abs() < 1e-9);
+            for found in [each, &learnt.at(sample)] {
+                assert!((found.mean - mean).abs() < 1e-9, "{} {mean}", found.mean);
+                assert!((found.variance - variance).abs() < 1e-9);
+            }
         }
     }
 

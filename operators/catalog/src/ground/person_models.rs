@@ -11,7 +11,7 @@ pub struct PersonModels;
 
 impl Operator for PersonModels {
     const NAME: &'static str = "person_models";
-    const VERSION: u32 = 1;
+    const VERSION: u32 = 2;
     const PAGE: &'static str = include_str!("person_models.md");
     type Params = NothingToChoose;
     type Output = PersonModel;

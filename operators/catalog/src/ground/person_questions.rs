@@ -18,7 +18,7 @@ pub struct PersonQuestions;
 
 impl Operator for PersonQuestions {
     const NAME: &'static str = "person_questions";
-    const VERSION: u32 = 1;
+    const VERSION: u32 = 2;
     const PAGE: &'static str = include_str!("person_questions.md");
     type Params = NothingToChoose;
     type Output = PersonQuestion;

@@ -18,7 +18,7 @@ pub struct BoxHypotheses;
 
 impl Operator for BoxHypotheses {
     const NAME: &'static str = "box_hypotheses";
-    const VERSION: u32 = 8;
+    const VERSION: u32 = 9;
     const PAGE: &'static str = include_str!("box_hypotheses.md");
     type Params = NothingToChoose;
     type Output = BoxHypothesis;
@@ -59,6 +59,7 @@ fn hypotheses(
 }
 
 /// What was learnt of a kind, what was said of its boxes, and the lanes that these lie at.
+#[derive(Debug)]
 pub struct Kind {
     model: BoxModel,
     taught: Taught,

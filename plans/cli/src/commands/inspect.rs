@@ -118,6 +118,8 @@ async fn contents(dataset: &Dataset, part: &LogPart, read: &LogIndex) -> Result<
         bytes: found.bytes,
         log_time_ns: found.log_time,
     });
+    let metadata = part.metadata_names().await?;
+    // What is damaged of attachments and metadata is among them.
     let losses = dataset.losses.entries().into_iter().map(|entry| LossLine {
         reason: entry.reason.text().to_owned(),
         topic: entry.topic,
@@ -132,6 +134,7 @@ async fn contents(dataset: &Dataset, part: &LogPart, read: &LogIndex) -> Result<
         profile: read.profile.clone(),
         library: read.library.clone(),
         indexed: part.index.indexed,
+        unbelieved: part.index.unbelieved,
         messages: channels.iter().map(|channel| channel.messages).sum(),
         start_ns: range.map(|(start, _)| start),
         end_ns: range.map(|(_, end)| end),
@@ -144,7 +147,7 @@ async fn contents(dataset: &Dataset, part: &LogPart, read: &LogIndex) -> Result<
         notes: Vec::new(),
         plans: plans(dataset)?,
         attachments: attachments.collect(),
-        metadata: part.metadata_names().await?,
+        metadata,
         losses: losses.collect(),
     })
 }

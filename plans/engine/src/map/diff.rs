@@ -5,20 +5,24 @@
 
 mod function;
 mod row_digest;
+mod shared;
 
 use std::collections::BTreeSet;
+use std::sync::Arc;
 
 use arrow::datatypes::{DataType, Field, Schema};
-use datafusion::catalog::SchemaProvider;
+use datafusion::catalog::{SchemaProvider, TableProvider};
+use datafusion::datasource::empty::EmptyTable;
 use datafusion::logical_expr::ScalarUDF;
 use datafusion::prelude::{DataFrame, SessionContext};
 use evermap_contract::Registry;
-use evermap_schemas::{Cell, Fault, LayerRow, Pose, geoparquet, record, rows};
+use evermap_schemas::{Cell, Fault, Layer, LayerRow, Pose, geoparquet, record, rows};
 
 use crate::conform::conform;
 use crate::error::OrFault;
 use crate::map::Map;
 use crate::map::diff::row_digest::RowDigest;
+use crate::map::diff::shared::Unshared;
 use crate::map::tables::Tables;
 use crate::quoted;
 use crate::sql::beside;
@@ -96,51 +100,76 @@ impl Comparison {
     /// A user fault for a layer that neither version has; what reading says.
     pub async fn rows(&self, layer: &str) -> Result<DataFrame, Fault> {
         let (before, after) = (self.before.table(layer), self.after.table(layer));
-        let (before, after) = (before.await.or_fault()?, after.await.or_fault()?);
+        let sides = [before.await.or_fault()?, after.await.or_fault()?];
+        self.compared(layer, sides).await
+    }
+
+    /// As [`Comparison::rows`], of these rows of either version.
+    async fn compared(
+        &self,
+        layer: &str,
+        sides: [Option<Arc<dyn TableProvider>>; 2],
+    ) -> Result<DataFrame, Fault> {
+        let [before, after] = &sides;
         let Some(one) = after.as_ref().or(before.as_ref()) else {
             let known: Vec<_> = self.layers().into_iter().collect();
             let known = known.join(", ");
             return Err(Fault::user(format!("no layer {layer} in either version"))
                 .next(format!("there are {known}")));
         };
-        let schemas = [&before, &after].map(|side| side.as_ref().unwrap_or(one).schema());
-        let columns = Compared::of(
-            layer,
-            [&self.before, &self.after],
-            [&schemas[0], &schemas[1]],
-        );
-        let sides = [("before", &before), ("after", &after)];
+        let schemas = [before, after].map(|side| side.as_ref().unwrap_or(one).schema());
+        let declared = self.declaration(layer);
+        let columns = Compared::of(declared.as_ref(), [&schemas[0], &schemas[1]]);
+        let sides = [("before", before), ("after", after)];
         for ((name, table), schema) in sides.into_iter().zip(&schemas) {
-            let empty = || datafusion::datasource::empty::EmptyTable::new(schema.clone());
-            let table = table
-                .clone()
-                .unwrap_or_else(|| std::sync::Arc::new(empty()));
+            let empty = || EmptyTable::new(schema.clone());
+            let table = table.clone().unwrap_or_else(|| Arc::new(empty()));
             self.context.deregister_table(name).or_fault()?;
             self.context.register_table(name, table).or_fault()?;
         }
         self.context.sql(&columns.query(&schemas)).await.or_fault()
     }
 
-    /// What became of a layer. One that is the same, byte for byte, is not read.
+    /// The declaration of a layer's columns, where either version knows one.
+    fn declaration(&self, layer: &str) -> Option<Layer> {
+        let after = self.after.declaration(layer);
+        after.or_else(|| self.before.declaration(layer))
+    }
+
+    /// As [`Comparison::rows`], without the rows of files that need not be read, as both versions have them, and how many
+    /// those are; `None` where no file need be read.
+    async fn unshared(&self, layer: &str) -> Result<(Option<DataFrame>, u64), Fault> {
+        let stored = [&self.before, &self.after].map(|tables| tables.map.published(layer));
+        let [Some(before), Some(after)] = stored else {
+            return Ok((Some(self.rows(layer).await?), 0));
+        };
+        let declared = self.declaration(layer);
+        let key = declared.as_ref().map_or(&[][..], |layer| layer.key);
+        let unshared = Unshared::of([&before.artifacts, &after.artifacts], key);
+        let [before, after] = &unshared.sides;
+        let before = self.before.rows_of(layer, before).await?;
+        let sides = [before, self.after.rows_of(layer, after).await?];
+        let rows = match sides.iter().any(Option::is_some) {
+            true => Some(self.compared(layer, sides).await?),
+            false => None,
+        };
+        Ok((rows, unshared.same))
+    }
+
+    /// What became of a layer. Files that both versions have are not read where their rows can match no others.
     ///
     /// # Errors
     /// As [`Comparison::rows`].
     pub async fn summary(&self, layer: &str) -> Result<LayerDiff, Fault> {
-        let stored = |tables: &Tables| {
-            let layer = tables.map.published(layer);
-            layer.map(|layer| (layer.digest(), layer.rows()))
-        };
-        let (before, after) = (stored(&self.before), stored(&self.after));
-        if let (Some(before), Some((digest, same))) = (before, after)
-            && before.0 == digest
-        {
+        let (rows_of_layer, same) = self.unshared(layer).await?;
+        let Some(rows_of_layer) = rows_of_layer else {
             return Ok(LayerDiff {
                 layer: layer.to_owned(),
                 same,
                 ..LayerDiff::default()
             });
-        }
-        let rows_of_layer = self.rows(layer).await?.into_view();
+        };
+        let rows_of_layer = rows_of_layer.into_view();
         self.context.deregister_table("rows").or_fault()?;
         self.context
             .register_table("rows", rows_of_layer)
@@ -164,7 +193,10 @@ impl Comparison {
             batch.and_then(|batch| rows::<LayerDiff>(&batch))
         });
         let summary = found.next().and_then(|rows| rows.into_iter().next());
-        summary.ok_or_else(|| Fault::bug("a query without groups has no row"))
+        let missing = || Fault::bug("a query without groups has no row");
+        let mut summary = summary.ok_or_else(missing)?;
+        summary.same += same;
+        Ok(summary)
     }
 }
 
@@ -183,14 +215,13 @@ struct Compared {
 }
 
 impl Compared {
-    fn of(layer: &str, tables: [&Tables; 2], schemas: [&Schema; 2]) -> Self {
-        let [before, after] = tables.map(|tables| tables.declaration(layer));
-        let declared = after.or(before);
+    /// By the layer's declaration, where there is one, and the columns of either version.
+    fn of(declared: Option<&Layer>, schemas: [&Schema; 2]) -> Self {
         let both = |name: &str| schemas.iter().all(|schema| schema.index_of(name).is_ok());
-        let key = declared.as_ref().map_or(&[][..], |layer| layer.key);
+        let key = declared.map_or(&[][..], |layer| layer.key);
         let key = key.iter().filter(|_| key.iter().all(|name| both(name)));
         let named = Some(geoparquet::COLUMN);
-        let geometry = declared.as_ref().map_or(named, |layer| layer.geometry);
+        let geometry = declared.map_or(named, |layer| layer.geometry);
         let is_bytes = |name: &str| {
             schemas.iter().all(|schema| {
                 let field = schema.field_with_name(name);
@@ -198,7 +229,7 @@ impl Compared {
             })
         };
         let frame = |name: &str| {
-            let column = declared.as_ref().and_then(|layer| layer.column(name));
+            let column = declared.and_then(|layer| layer.column(name));
             column.map(|column| column.frame)
         };
         let poses: Vec<_> = schemas[1]
@@ -320,3 +351,6 @@ impl Compared {
 fn is_pose(field: &Field) -> bool {
     DataType::equals_datatype(field.data_type(), &Pose::data_type())
 }
+
+#[cfg(test)]
+mod tests;

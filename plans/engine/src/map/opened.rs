@@ -184,9 +184,14 @@ impl Map {
     /// The same, which are as they were written as far as [`Sound::check`] tells.
     pub(super) async fn checked(&self, layer: &str) -> Result<&[Artifact], Fault> {
         let artifacts = self.artifacts(layer);
-        let published = &self.version.published;
-        Sound::check(&self.store, published, artifacts, &self.known).await?;
+        self.check(artifacts).await?;
         Ok(artifacts)
+    }
+
+    /// That artifacts of the version are as they were written as far as [`Sound::check`] tells.
+    pub(super) async fn check(&self, artifacts: &[Artifact]) -> Result<(), Fault> {
+        let published = &self.version.published;
+        Sound::check(&self.store, published, artifacts, &self.known).await
     }
 
     /// The log of a session, where it was when it was mapped; `None` for a session that is not in the map. It is opened once,

@@ -196,7 +196,7 @@ impl Tables {
             }
             _ => {
                 let layer = self.layer_of(name);
-                let rows = self.rows(layer).await?;
+                let rows = self.rows(layer, self.map.artifacts(layer)).await?;
                 match layer == name {
                     true => rows,
                     false => flat::flat(rows).or_fault()?,
@@ -206,9 +206,26 @@ impl Tables {
         Ok(rows.into_view())
     }
 
-    async fn rows(&self, layer: &str) -> Result<DataFrame, Fault> {
-        let artifacts = self.map.artifacts(layer).iter().map(Artifact::name);
-        let rows = read_files(&self.reading, &self.map.store, artifacts, None).await;
+    /// The rows of some artifacts of a layer alone; `None` where there are no artifacts.
+    ///
+    /// # Errors
+    /// As opening the layer, as far as these are concerned.
+    pub async fn rows_of(
+        &self,
+        layer: &str,
+        artifacts: &[Artifact],
+    ) -> Result<Option<Arc<dyn TableProvider>>, Fault> {
+        if artifacts.is_empty() {
+            return Ok(None);
+        }
+        let found = self.map.check(artifacts).await;
+        found.map_err(|fault| in_layer(fault, layer))?;
+        Ok(Some(self.rows(layer, artifacts).await?.into_view()))
+    }
+
+    async fn rows(&self, layer: &str, artifacts: &[Artifact]) -> Result<DataFrame, Fault> {
+        let names = artifacts.iter().map(Artifact::name);
+        let rows = read_files(&self.reading, &self.map.store, names, None).await;
         rows.map_err(|fault| in_layer(fault, layer))
     }
 

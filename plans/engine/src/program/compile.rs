@@ -13,10 +13,11 @@ use serde_json::Value;
 
 use crate::conform::{bare, declared, misfits};
 use crate::error::without_kind;
+use crate::program::kept;
 use crate::program::locality::is_local;
 use crate::program::python::PythonTask;
 use crate::program::query::Query;
-use crate::program::reads::{is_whole, operator_reads, query_read};
+use crate::program::reads::{is_read_again, operator_reads, query_read};
 use crate::program::test_rows;
 use crate::program::{LIFT, Program, Read, Role, Scope, Stage, Task};
 use crate::sql;
@@ -36,7 +37,7 @@ pub async fn compile(
     if compiler.faults.error_count() > 0 {
         return Err(compiler.faults.settle());
     }
-    compiler.decide_stored();
+    kept::decide(&mut compiler.stages, &plan.write, &compiler.read_again);
     compiler.check_once();
     compiler.check_stored();
     if compiler.faults.error_count() > 0 {
@@ -81,6 +82,8 @@ struct Compiler<'a> {
     has_topics: bool,
     /// Steps whose columns are known and whose scopes are not, as they read what is not known.
     vague: BTreeSet<String>,
+    /// Tables that a single query reads more than once.
+    read_again: BTreeSet<Input>,
 }
 
 impl<'a> Compiler<'a> {
@@ -99,6 +102,7 @@ impl<'a> Compiler<'a> {
             schemas: BTreeMap::new(),
             has_topics: true,
             vague: BTreeSet::new(),
+            read_again: BTreeSet::new(),
         }
     }
 
@@ -324,6 +328,11 @@ impl<'a> Compiler<'a> {
         }
         let frame = query.planned(self.context, &mut self.faults).await?;
         let plan = frame.logical_plan();
+        let again = step
+            .inputs
+            .values()
+            .filter(|table| is_read_again(plan, table));
+        self.read_again.extend(again.cloned());
         let reads: Vec<_> = step.inputs.values().map(query_read).collect();
         let widest = self.widest(&reads).unwrap_or(Scope::Map);
         // Rows of a table that covers a site are narrowed to those of a session where they are read.
@@ -376,31 +385,6 @@ impl<'a> Compiler<'a> {
                 let made = self.stages.iter().find(|stage| stage.name == *name);
                 made.map_or(Scope::Map, |stage| stage.scope)
             }
-        }
-    }
-
-    /// A stage is kept when it is written, is read twice, is read at a wider scope, or is read whole.
-    fn decide_stored(&mut self) {
-        let mut read_once = BTreeSet::new();
-        let mut stored: BTreeSet<String> = self.plan.write.iter().cloned().collect();
-        for stage in &self.stages {
-            for read in &stage.reads {
-                let (Input::Step(name) | Input::New(name)) = &read.table else {
-                    continue;
-                };
-                let apart = matches!(read.table, Input::New(_));
-                let again = !read_once.insert(name);
-                if again
-                    || apart
-                    || is_whole(stage, read)
-                    || self.scope_of(&read.table) != stage.scope
-                {
-                    stored.insert(name.clone());
-                }
-            }
-        }
-        for stage in &mut self.stages {
-            stage.stored = stored.contains(&stage.name);
         }
     }
 

@@ -5,6 +5,7 @@
 //! and explanations follow from a stage's [`Read`]s.
 
 pub mod compile;
+mod kept;
 mod locality;
 pub mod python;
 mod query;

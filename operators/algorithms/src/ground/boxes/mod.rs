@@ -8,6 +8,7 @@
 //! | [`description`] | what is in a box: histograms of gradients by cell |
 //! | [`box_index`] | which boxes are near one |
 //! | [`scan`] | the places of an image where a description fits |
+//! | `turned` | the image turned to a heading, and how well a description fits everywhere in it |
 //! | `lesson` | what there is to learn from |
 //! | [`template`] | where exactly a box lies |
 //! | [`teaching`] | examples in, hypotheses with their probability and questions out |
@@ -30,6 +31,7 @@ pub mod rows;
 pub mod scan;
 pub mod teaching;
 pub mod template;
+mod turned;
 
 #[cfg(test)]
 mod tests;

@@ -70,6 +70,17 @@ impl Mosaic {
         self.part_of(point.map(|at| (at / self.tile_m()).floor() as i64))
     }
 
+    /// The south-western and the north-eastern corner of a part (m).
+    pub(super) fn corners(&self, part: Part) -> [[f64; 2]; 2] {
+        [0, PART_TILES].map(|beyond| {
+            [0, 1].map(|axis| {
+                let tiles = part.0[axis].saturating_mul(PART_TILES);
+                let tile = self.first[axis].saturating_add(tiles);
+                tile.saturating_add(beyond) as f64 * self.tile_m()
+            })
+        })
+    }
+
     /// What was seen (m²).
     pub fn covered_m2(&self) -> f64 {
         let cells = self.tiles.values().flatten();

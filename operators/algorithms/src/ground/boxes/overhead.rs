@@ -18,10 +18,12 @@ const MOST: f32 = 8.0;
 const MOST_RADIUS: f64 = 512.0;
 /// Strength of the strongest gradient; the steps below it are equal.
 const STRONGEST: u8 = 254;
+/// What a step of strength is.
+pub(super) const STEP: f32 = MOST / STRONGEST as f32;
 /// Strength of a cell that nobody saw.
 const UNSEEN: u8 = 255;
 /// Directions that are told apart, over half a turn.
-const DIRECTIONS: usize = 256;
+pub(super) const DIRECTIONS: usize = 256;
 
 /// The gradient of a cell: its strength in steps, 255 where nothing was seen, and its direction from east in 256ths of half a
 /// turn, anticlockwise: a line has one direction, whichever side is bright.
@@ -189,7 +191,7 @@ pub struct Gradients {
     /// Row by row from the north.
     cells: Vec<GradientCell>,
     /// By direction: `(cos 2φ, sin 2φ)`. Opposite gradients are one, and the mean of two is between them.
-    doubled: Vec<[f32; 2]>,
+    doubled: [[f32; 2]; DIRECTIONS],
 }
 
 impl Gradients {
@@ -200,7 +202,7 @@ impl Gradients {
         [west_m, north_m]: [f64; 2],
         cells: Vec<GradientCell>,
     ) -> Self {
-        let doubled = (0..DIRECTIONS).map(|direction| {
+        let doubled = std::array::from_fn(|direction| {
             let turn = std::f32::consts::TAU * direction as f32 / DIRECTIONS as f32;
             [turn.cos(), turn.sin()]
         });
@@ -211,23 +213,32 @@ impl Gradients {
             west_m,
             north_m,
             cells,
-            doubled: doubled.collect(),
+            doubled,
         }
     }
 
-    /// Strength and direction (half turns from east, 0 to 1) of the cell about a point of the map; `None` outside and where
-    /// nothing was seen.
-    pub(super) fn near(&self, [x, y]: [f64; 2]) -> Option<[f32; 2]> {
+    /// The number of the cell about a point of the map, negative outside. Nothing branches, so that loops over it are
+    /// vectorised.
+    #[inline(always)]
+    pub(super) fn number(&self, [x, y]: [f64; 2]) -> i32 {
         let column = (x - self.west_m) / self.cell_m;
         let row = (self.north_m - y) / self.cell_m;
-        let is_inside =
-            column >= 0.0 && row >= 0.0 && column < self.columns as f64 && row < self.rows as f64;
-        if !is_inside {
-            return None;
-        }
-        let cell = &self.cells[row as usize * self.columns + column as usize];
-        let direction = || f32::from(cell[1]) / DIRECTIONS as f32;
-        is_seen(cell).then(|| [strength(cell), direction()])
+        let is_inside = (column >= 0.0)
+            & (row >= 0.0)
+            & (column < self.columns as f64)
+            & (row < self.rows as f64);
+        let number = (row as i32)
+            .wrapping_mul(self.columns as i32)
+            .wrapping_add(column as i32);
+        if is_inside { number } else { -1 }
+    }
+
+    /// The strength of a cell's gradient in steps, and its direction; `None` outside and where nothing was seen.
+    #[inline(always)]
+    pub(super) fn seen(&self, number: i32) -> Option<GradientCell> {
+        let cell = usize::try_from(number).ok();
+        let cell = cell.and_then(|number| self.cells.get(number));
+        cell.filter(|cell| is_seen(cell)).copied()
     }
 
     /// A point of the map, by its share of the image's width and height.
@@ -238,42 +249,52 @@ impl Gradients {
         ]
     }
 
-    /// The gradient with its direction doubled at a point of the map, between cells; `None` as for [`Self::near`].
-    pub(super) fn at(&self, [x, y]: [f64; 2]) -> Option<[f32; 2]> {
+    /// Of four cells about a point of the map the north-western one's number, negative outside, and how far from its middle
+    /// the point lies, as a share of the way to the next one's: across and down. Nothing branches.
+    #[inline(always)]
+    pub(super) fn four(&self, [x, y]: [f64; 2]) -> (i32, [f32; 2]) {
         let column = (x - self.west_m) / self.cell_m - 0.5;
         let row = (self.north_m - y) / self.cell_m - 0.5;
         let last = [self.columns, self.rows].map(|count| count.saturating_sub(1) as f64);
-        if !(column >= 0.0 && row >= 0.0 && column < last[0] && row < last[1]) {
-            return None;
-        }
-        let cell = row as usize * self.columns + column as usize;
-        let (across, down) = (column.fract() as f32, row.fract() as f32);
-        if !is_seen(&self.cells[cell]) {
-            return None;
-        }
-        let near = [cell, cell + 1, cell + self.columns, cell + self.columns + 1];
-        let share = [
-            (1.0 - across) * (1.0 - down),
-            across * (1.0 - down),
-            (1.0 - across) * down,
-            across * down,
+        let is_inside = (column >= 0.0) & (row >= 0.0) & (column < last[0]) & (row < last[1]);
+        let (whole_column, whole_row) = (column as i32, row as i32);
+        let number = whole_row
+            .wrapping_mul(self.columns as i32)
+            .wrapping_add(whole_column);
+        let across = (column - f64::from(whole_column)) as f32;
+        let down = (row - f64::from(whole_row)) as f32;
+        (if is_inside { number } else { -1 }, [across, down])
+    }
+
+    /// The mean gradient of four cells ([`Self::four`]), its direction doubled; none outside, and where nothing was seen of
+    /// the first.
+    #[inline(always)]
+    pub(super) fn mean(&self, number: i32, [across, down]: [f32; 2]) -> [f32; 2] {
+        let pair = |from: usize| self.cells.get(from..from + 2);
+        let from = usize::try_from(number).ok();
+        let lines = from.and_then(|from| pair(from).zip(pair(from + self.columns)));
+        let Some((upper, lower)) = lines.filter(|(upper, _)| is_seen(&upper[0])) else {
+            return [0.0; 2];
+        };
+        let near = [
+            (&upper[0], (1.0 - across) * (1.0 - down)),
+            (&upper[1], across * (1.0 - down)),
+            (&lower[0], (1.0 - across) * down),
+            (&lower[1], across * down),
         ];
-        let mut sum = [0.0; 2];
-        for (cell, share) in near.into_iter().zip(share) {
-            let cell = &self.cells[cell];
+        near.into_iter().fold([0.0; 2], |sum, (cell, share)| {
             let [cos, sin] = self.doubled[usize::from(cell[1])];
             let strength = share * strength(cell);
-            sum[0] += strength * cos;
-            sum[1] += strength * sin;
-        }
-        Some(sum)
+            [sum[0] + strength * cos, sum[1] + strength * sin]
+        })
     }
 }
 
 /// The strength of a cell's gradient, 0 where nothing was seen.
+#[inline(always)]
 fn strength(cell: &GradientCell) -> f32 {
     match is_seen(cell) {
-        true => f32::from(cell[0]) * (MOST / f32::from(STRONGEST)),
+        true => f32::from(cell[0]) * STEP,
         false => 0.0,
     }
 }

@@ -169,11 +169,11 @@ impl Taught {
             let is_asked =
                 |place: &GroundBox| mosaic.part(place.centre) == part && headings.allow(place);
             let gradients = mosaic.gradients(part, reach_of(&self.sizes_m));
-            self.find_in(&gradients, is_asked, &known, room as usize)
+            let corners = mosaic.corners(part);
+            self.find_in(&gradients, corners, is_asked, &known, room as usize)
         });
-        let mut found = apart(found.collect(), |one: &Described| one.scored);
-        found.truncate(room as usize);
-        Candidates(found)
+        let scored = |one: &Described| one.scored;
+        Candidates(apart(found.collect(), room as usize, scored))
     }
 
     /// What is left of candidates that were found when less was known, the likeliest first: not moved, none added.
@@ -183,7 +183,7 @@ impl Taught {
             .par_iter()
             .filter(|one| known.leaves_open(&one.scored.place));
         let scored = open.map(|one| {
-            let score = self.process.at(&one.sample).mean;
+            let score = self.process.mean(&one.sample);
             let scored = Scored {
                 score,
                 ..one.scored
@@ -191,23 +191,23 @@ impl Taught {
             let sample = one.sample.clone();
             Described { scored, sample }
         });
-        Candidates(apart(scored.collect(), |one: &Described| one.scored))
+        let scored: Vec<Described> = scored.collect();
+        let most = scored.len();
+        Candidates(apart(scored, most, |one| one.scored))
     }
 
     /// What candidates are worth: the second half of [`Taught::find`].
     pub fn weigh(&self, Candidates(found): &Candidates) -> Vec<Hypothesis> {
-        let known = found.par_iter().map(|one| {
-            let known = self.process.at(&one.sample);
-            Hypothesis {
-                place: one.scored.place,
-                mean: known.mean,
-                variance: known.variance,
-                probability: self.calibration.probability(known.mean),
-                question: None,
-            }
+        let known = self.process.at_each(found);
+        let hypotheses = found.iter().zip(&known).map(|(one, known)| Hypothesis {
+            place: one.scored.place,
+            mean: known.mean,
+            variance: known.variance,
+            probability: self.calibration.probability(known.mean),
+            question: None,
         });
-        let mut hypotheses: Vec<Hypothesis> = known.collect();
-        self.ask(&mut hypotheses, found);
+        let mut hypotheses: Vec<Hypothesis> = hypotheses.collect();
+        self.ask(&mut hypotheses, &known);
         hypotheses
     }
 
@@ -215,12 +215,13 @@ impl Taught {
     fn find_in(
         &self,
         gradients: &Gradients,
+        corners: [[f64; 2]; 2],
         is_asked: impl Fn(&GroundBox) -> bool + Sync,
         known: &Known,
         most: usize,
     ) -> Vec<Described> {
         let weights = self.process.weights();
-        let found = scan(gradients, weights, &self.sizes_m, is_asked, most);
+        let found = scan(gradients, corners, weights, &self.sizes_m, is_asked, most);
         let open = found
             .into_iter()
             .filter(|one| known.leaves_open(&one.place));
@@ -235,16 +236,13 @@ impl Taught {
     }
 
     /// Numbers the least certain by what answers would teach.
-    fn ask(&self, hypotheses: &mut [Hypothesis], found: &[Described]) {
+    fn ask(&self, hypotheses: &mut [Hypothesis], known: &[Posterior]) {
         let slope =
             |one: &Hypothesis| self.calibration.slope * one.probability * (1.0 - one.probability);
         let mut open: Vec<usize> = (0..hypotheses.len()).collect();
         open.sort_by(|a, b| slope(&hypotheses[*b]).total_cmp(&slope(&hypotheses[*a])));
         open.truncate(UNCERTAIN);
-        let known: Vec<Posterior> = open
-            .par_iter()
-            .map(|at| self.process.at(&found[*at].sample))
-            .collect();
+        let known: Vec<Posterior> = open.iter().map(|at| known[*at].clone()).collect();
         let slopes: Vec<f64> = open.iter().map(|at| slope(&hypotheses[*at])).collect();
         let questions = self.process.questions(&known, &slopes, QUESTIONS);
         for (question, (at, gain)) in questions.into_iter().enumerate() {
@@ -305,4 +303,10 @@ pub struct Candidates(Vec<Described>);
 struct Described {
     scored: Scored,
     sample: Vec<f32>,
+}
+
+impl AsRef<[f32]> for Described {
+    fn as_ref(&self) -> &[f32] {
+        &self.sample
+    }
 }

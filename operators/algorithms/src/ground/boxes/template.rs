@@ -7,6 +7,7 @@ use super::GroundBox;
 use super::description::{ACROSS, ALONG, reach_m};
 use super::overhead::Gradients;
 use super::scan::best_near;
+use crate::processor::vectorised;
 
 /// Samples along a box and across it: a decimetre for a parking space.
 const SIDES: [usize; 2] = [5 * ALONG, 5 * ACROSS];
@@ -21,23 +22,40 @@ pub struct Template {
 /// The gradients in a box, of one strength all together; `None` where there are none. Those of the box turned round are
 /// the same in the opposite order.
 pub(super) fn laid_out(gradients: &Gradients, of: &GroundBox) -> Option<Vec<[f32; 2]>> {
-    let reach = reach_m(of);
-    let (sin, cos) = (2.0 * of.yaw).sin_cos();
-    let (sin, cos) = (sin as f32, cos as f32);
-    let at = |at: usize, axis: usize| ((at as f64 + 0.5) / SIDES[axis] as f64 - 0.5) * reach[axis];
-    let to_map = of.to_map();
-    let sample = |place: usize| {
-        let point = [at(place / SIDES[1], 0), at(place % SIDES[1], 1)];
-        let [x, y] = gradients.at(to_map(point)).unwrap_or_default();
-        [cos * x + sin * y, cos * y - sin * x]
-    };
-    let mut values: Vec<[f32; 2]> = (0..SIDES[0] * SIDES[1]).map(sample).collect();
+    let mut values = vec![[0.0_f32; 2]; SIDES[0] * SIDES[1]];
+    vectorised(
+        #[inline(always)]
+        || lay_out(gradients, of, &mut values),
+    );
     let squares: f32 = values.iter().map(|[x, y]| x * x + y * y).sum();
     let norm = squares.sqrt();
     values
         .iter_mut()
         .for_each(|value| *value = value.map(|it| it / norm));
     (norm > 0.0).then_some(values)
+}
+
+#[inline(always)]
+fn lay_out(gradients: &Gradients, of: &GroundBox, values: &mut [[f32; 2]]) {
+    let reach = reach_m(of);
+    let (sin, cos) = (2.0 * of.yaw).sin_cos();
+    let (sin, cos) = (sin as f32, cos as f32);
+    let at = |at: usize, axis: usize| ((at as f64 + 0.5) / SIDES[axis] as f64 - 0.5) * reach[axis];
+    let to_map = of.to_map();
+    let mut numbers = [0; SIDES[1]];
+    let (mut across, mut down) = ([0.0; SIDES[1]], [0.0; SIDES[1]]);
+    for (column, values) in values.chunks_exact_mut(SIDES[1]).enumerate() {
+        let along = at(column, 0);
+        let shares = across.iter_mut().zip(&mut down);
+        for (row, (number, share)) in numbers.iter_mut().zip(shares).enumerate() {
+            let four = gradients.four(to_map([along, at(row, 1)]));
+            (*number, [*share.0, *share.1]) = four;
+        }
+        for (row, value) in values.iter_mut().enumerate() {
+            let [x, y] = gradients.mean(numbers[row], [across[row], down[row]]);
+            *value = [cos * x + sin * y, cos * y - sin * x];
+        }
+    }
 }
 
 impl Template {

@@ -13,11 +13,7 @@
 //! Source: *Integrating metric and semantic maps for vision-only automated parking*, sections V-A2 and VI-B; Rasmussen &
 //! Williams, *Gaussian processes for machine learning* (2006), section 2.7, for the mean.
 
-use rayon::prelude::*;
-
-use crate::learning::gaussian_process::{
-    LearningError, LinearProcess, Posterior, QUESTIONS, UNCERTAIN,
-};
+use crate::learning::gaussian_process::{LearningError, LinearProcess, QUESTIONS, UNCERTAIN};
 
 /// Before any answer, how far an answer may differ at a window whose description has the length 1 (variance), and the noise
 /// of an answer at even odds (variance).
@@ -142,10 +138,8 @@ impl<T> Open<T> {
 /// Which of some windows to ask about, the first first, with what each answer would teach. Of each: what it shows, and the
 /// probability that is held of it.
 pub fn questions(process: &LinearProcess, open: &[(&[f32], f64)]) -> Vec<(usize, f64)> {
-    let known: Vec<Posterior> = open
-        .par_iter()
-        .map(|(description, _)| process.at(description))
-        .collect();
+    let shown: Vec<&[f32]> = open.iter().map(|(description, _)| *description).collect();
+    let known = process.at_each(&shown);
     // A probability follows half of the mean, and the less the surer it is: of what is certain nothing is to be learnt.
     let slope = |(_, probability): &(&[f32], f64)| 2.0 * probability * (1.0 - probability);
     let slopes: Vec<f64> = open.iter().map(slope).collect();

@@ -23,6 +23,8 @@ pub struct Learnt {
     pub took: Duration,
     /// The boxes that were weighed; `None` where nobody has drawn one yet.
     pub(super) candidates: Option<Arc<Candidates>>,
+    /// What they were weighed by.
+    model: Option<Arc<Kind>>,
 }
 
 /// What there is to learn of one kind.
@@ -42,21 +44,42 @@ impl Lesson {
         let models = learnt(&params, &self.mosaic, &self.labels, &mut skip)?;
         let kind = models.into_iter().next();
         let kind = kind.and_then(|model| Kind::new(model, &self.labels, &self.lanes, cell_m));
+        Ok(self.weighed(kind.map(Arc::new), candidates, begun))
+    }
+
+    /// Searches the image by what is known of a kind; learns first where that was learnt from less than there is.
+    pub(super) fn search(self, known: Option<&Learnt>) -> Result<Learnt, Fault> {
+        let begun = Instant::now();
+        let latest = known.filter(|known| known.revision == self.revision);
+        match latest.and_then(|known| known.model.clone()) {
+            Some(model) => Ok(self.weighed(Some(model), None, begun)),
+            None => self.learn(None),
+        }
+    }
+
+    /// What candidates are worth; the image is searched for them where none are given.
+    fn weighed(
+        self,
+        model: Option<Arc<Kind>>,
+        candidates: Option<Arc<Candidates>>,
+        begun: Instant,
+    ) -> Learnt {
         let is_searched = candidates.is_none();
-        let found = kind.map(|kind| {
+        let found = model.as_ref().map(|model| {
             let candidates = match candidates {
-                Some(known) => kind.look_again(&known),
-                None => kind.search(&self.mosaic),
+                Some(known) => model.look_again(&known),
+                None => model.search(&self.mosaic),
             };
-            (kind.weigh(&candidates), Arc::new(candidates))
+            (model.weigh(&candidates), Arc::new(candidates))
         });
         let (hypotheses, candidates) = found.unzip();
-        Ok(Learnt {
+        Learnt {
             revision: self.revision,
             hypotheses: hypotheses.unwrap_or_default(),
             is_searched,
             took: begun.elapsed(),
             candidates,
-        })
+            model,
+        }
     }
 }

@@ -272,13 +272,14 @@ impl Site {
     /// Searches the image for what the latest model finds, one search after the other.
     async fn search(self: &Arc<Self>, kind: &str) {
         let _turn = self.searching.lock().await;
-        if self.known(kind).is_some_and(|known| known.is_searched) {
+        let known = self.known(kind);
+        if known.as_ref().is_some_and(|known| known.is_searched) {
             return;
         }
         let lesson = self.lesson(kind).await;
         let revision = lesson.revision;
         let threads = Arc::clone(&self.threads);
-        let search = move || threads.install(|| lesson.learn(None));
+        let search = move || threads.install(|| lesson.search(known.as_deref()));
         let found = match tokio::task::spawn_blocking(search).await {
             Ok(Ok(found)) => found,
             Ok(Err(fault)) => return tracing::warn!("nothing was found of {kind}: {fault}"),
