@@ -10,12 +10,15 @@ use object_store::{ObjectMeta, ObjectStore};
 
 use crate::log::census::longest;
 use crate::log::collector::Collector;
-use crate::log::index::{Unit, UnitKind};
+use crate::log::index::{LogIndex, Unit, UnitKind};
 use crate::log::record::{FOOTER, FRAME, MAGIC, frame, nanoseconds, parse, split};
-use crate::log::window::{Window, fetch};
+use crate::log::window::{SIDE_BY_SIDE, STRETCH_BYTES, Window, fetch, fetch_all, stretches};
 
 /// Bytes fetched from the end of a file at first: most summaries fit.
 const TAIL: u64 = 64 << 10;
+
+/// Bytes that are fetched together to look at the frames of records: all that is on its way at a time is one stretch.
+const FRAMES_BYTES: u64 = STRETCH_BYTES / SIDE_BY_SIDE as u64;
 
 /// What a sound summary says, and the parts of the data section that it says nothing about.
 pub(crate) struct Summary {
@@ -74,40 +77,53 @@ async fn sound(
         tracing::warn!(file = %meta.location, "the summary does not match its checksum: reading the file from its start");
         return Ok(None);
     }
-    if !entries_fit(store, meta, &found.collector).await? {
+    // Entries that overlap, or lie outside, cost no request.
+    let Some(summary) = found.believed(footer.summary_start) else {
         return Ok(None);
-    }
-    Ok(found.believed(footer.summary_start))
+    };
+    let fit = entries_fit(store, meta, &summary.collector.index).await?;
+    Ok(fit.then_some(summary))
 }
 
 /// Whether there is a record of the length that the summary says wherever it has an attachment or metadata: a longer
-/// one would cover what the summary leaves out.
+/// one would cover what the summary leaves out. None overlaps another one. Of those that lie far from each other only
+/// the frame is fetched, however large they are.
 async fn entries_fit(
     store: &Arc<dyn ObjectStore>,
     meta: &ObjectMeta,
-    collector: &Collector,
+    index: &LogIndex,
 ) -> Result<bool, Fault> {
-    let index = &collector.index;
-    for unit in index.attachments.iter().chain(&index.metadata) {
-        let opcode = match unit.kind {
-            UnitKind::Attachment => op::ATTACHMENT,
-            _ => op::METADATA,
-        };
-        let end = unit.offset.saturating_add(FRAME);
-        if end > meta.size {
-            return Ok(false);
-        }
-        let head = fetch(store, meta, unit.offset..end).await?;
-        if frame(&head)
-            != unit
-                .length
-                .checked_sub(FRAME)
-                .map(|length| (opcode, length))
-        {
-            return Ok(false);
+    let mut entries: Vec<&Unit> = index.attachments.iter().chain(&index.metadata).collect();
+    if entries.iter().any(|unit| unit.length < FRAME) {
+        return Ok(false);
+    }
+    entries.sort_unstable_by_key(|unit| unit.offset);
+    let frames = entries
+        .iter()
+        .map(|unit| unit.offset..unit.offset.saturating_add(FRAME));
+    let ranges = stretches(frames, FRAMES_BYTES);
+    let mut entries = entries.iter().peekable();
+    for some in ranges.chunks(SIDE_BY_SIDE) {
+        let fetched = fetch_all(store, meta, some.to_vec()).await?;
+        for (range, bytes) in some.iter().zip(&fetched) {
+            while let Some(unit) = entries.next_if(|unit| unit.offset < range.end) {
+                let at = (unit.offset - range.start) as usize;
+                if bytes.get(at..).and_then(frame) != said(unit) {
+                    return Ok(false);
+                }
+            }
         }
     }
     Ok(true)
+}
+
+/// The opcode and the length of the body that an entry of the index says.
+fn said(unit: &Unit) -> Option<(u8, u64)> {
+    let opcode = match unit.kind {
+        UnitKind::Attachment => op::ATTACHMENT,
+        _ => op::METADATA,
+    };
+    Some((opcode, unit.length.checked_sub(FRAME)?))
 }
 
 fn footer(tail: &Bytes) -> Option<Footer> {

@@ -1,16 +1,22 @@
-//! Forward reading of an object by range requests, with a little read-ahead.
+//! Reading of an object by range requests: forward, with a little read-ahead, or what lies here and there, near parts together.
 
 use std::ops::Range;
 use std::sync::Arc;
 
 use bytes::Bytes;
 use evermap_schemas::Fault;
+use futures::future::try_join_all;
 use object_store::{GetOptions, GetResult, ObjectMeta, ObjectStore};
 
 use crate::fault::store_fault;
 
-/// Read-ahead for small records, so that a file without chunks costs few requests.
-const AHEAD: u64 = 4 << 20;
+/// Bytes that are fetched for one reader at a time: ahead of small records, so that a file without chunks costs few
+/// requests, or together, as each request costs its own time.
+pub(crate) const STRETCH_BYTES: u64 = 4 << 20;
+/// And across so many bytes of which nothing is wanted: the message indexes between chunks.
+const GAP_BYTES: u64 = 64 << 10;
+/// Requests of one reader that are on their way at a time.
+pub(crate) const SIDE_BY_SIDE: usize = 16;
 /// Bytes that are hashed, or decompressed, together.
 pub(crate) const PIECE: u64 = 1 << 20;
 
@@ -54,7 +60,9 @@ impl Window {
         };
         let held = self.start..self.start + self.bytes.len() as u64;
         if offset < held.start || wanted_end > held.end {
-            let end = wanted_end.max(offset.saturating_add(AHEAD)).min(self.end);
+            let end = wanted_end
+                .max(offset.saturating_add(STRETCH_BYTES))
+                .min(self.end);
             self.bytes = fetch(&self.store, &self.meta, offset..end).await?;
             self.start = offset;
         }
@@ -107,6 +115,46 @@ pub async fn fetch(
     Ok(bytes)
 }
 
+/// Fetches some ranges of an object at once, of which there should be [`SIDE_BY_SIDE`] at most: the bytes of each, in order.
+///
+/// # Errors
+/// As [`fetch`].
+pub(crate) async fn fetch_all(
+    store: &Arc<dyn ObjectStore>,
+    meta: &ObjectMeta,
+    ranges: Vec<Range<u64>>,
+) -> Result<Vec<Bytes>, Fault> {
+    let fetched = ranges.into_iter().map(|range| {
+        // Futures that borrow could not be sent to other threads together.
+        let (store, meta) = (Arc::clone(store), meta.clone());
+        async move { fetch(&store, &meta, range).await }
+    });
+    try_join_all(fetched).await
+}
+
+/// Whether a range lies so close behind another one that both are fetched with one request.
+pub(crate) fn near(before: &Range<u64>, next: &Range<u64>) -> bool {
+    (before.end..=before.end.saturating_add(GAP_BYTES)).contains(&next.start)
+}
+
+/// Ranges of an object, in its order, near ones joined to stretches of at most so many bytes; a larger range is one of
+/// its own.
+pub(crate) fn stretches(
+    ranges: impl IntoIterator<Item = Range<u64>>,
+    most: u64,
+) -> Vec<Range<u64>> {
+    let mut stretches: Vec<Range<u64>> = Vec::new();
+    for range in ranges {
+        match stretches.last_mut() {
+            Some(last) if near(last, &range) && range.end.saturating_sub(last.start) <= most => {
+                last.end = range.end;
+            }
+            _ => stretches.push(range),
+        }
+    }
+    stretches
+}
+
 /// Asks for a range of an object, of the state in which it was found where its store can tell that from others: a strong
 /// entity tag stands in quotes. A file on a disk has none, as it may grow while it is read.
 ///
@@ -130,6 +178,40 @@ mod tests {
     use object_store::path::Path;
 
     use super::*;
+
+    #[test]
+    fn near_ranges_are_joined_as_far_as_they_are_small() {
+        let of = |ranges: &[(u64, u64)], most: u64| {
+            let joined = stretches(ranges.iter().map(|(start, end)| *start..*end), most);
+            let ends = joined.into_iter().map(|range| (range.start, range.end));
+            ends.collect::<Vec<_>>()
+        };
+        assert_eq!(of(&[(5, 15), (15, 25), (95, 105)], 100), [(5, 105)]);
+        let too_many = of(&[(5, 15), (15, 25), (96, 106)], 100);
+        assert_eq!(too_many, [(5, 25), (96, 106)]);
+        assert_eq!(of(&[(5, 500), (500, 510)], 100), [(5, 500), (500, 510)]);
+        let behind = |gap: u64| [(0, 10), (10 + gap, 20 + gap)];
+        let last = 20 + GAP_BYTES;
+        assert_eq!(of(&behind(GAP_BYTES), u64::MAX), [(0, last)]);
+        let far = behind(GAP_BYTES + 1);
+        assert_eq!(of(&far, u64::MAX), far);
+        // Hostile: at one place, and beyond all files.
+        let claims = [(7, 1 << 60), (7, 1 << 60), (u64::MAX, u64::MAX)];
+        assert_eq!(of(&claims, u64::MAX), claims);
+    }
+
+    #[tokio::test]
+    async fn ranges_are_fetched_in_their_order() {
+        let store: Arc<dyn ObjectStore> = Arc::new(InMemory::new());
+        let path = Path::from("a.mcap");
+        store.put(&path, "0123456789".into()).await.unwrap();
+        let found = store.head(&path).await.unwrap();
+        let ranges = vec![4..6, 0..1, 9..10];
+        let fetched = fetch_all(&store, &found, ranges).await.unwrap();
+        assert_eq!(fetched, ["45", "0", "9"]);
+        let beyond = fetch_all(&store, &found, vec![0..1, 20..30]).await;
+        assert!(beyond.is_err());
+    }
 
     /// The store in memory names states by numbers without quotes: it is asked for whatever is there.
     #[tokio::test]

@@ -20,6 +20,7 @@ mod rows;
 mod source;
 mod strays;
 mod stream;
+mod stretch;
 mod table;
 mod topic;
 mod worker;

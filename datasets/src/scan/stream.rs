@@ -7,7 +7,6 @@
 //! finds none is read by portions.
 
 use std::collections::VecDeque;
-use std::ops::Range;
 use std::sync::Arc;
 
 use arrow::array::RecordBatch;
@@ -22,25 +21,20 @@ use futures::{StreamExt, TryStreamExt};
 
 use crate::fault::external;
 use crate::log::chunk::ChunkHead;
-use crate::log::index::{Unit, UnitKind};
+use crate::log::index::UnitKind;
 use crate::log::unpack::LARGEST_CHUNK;
 use crate::log::walk::{Feed, joined};
-use crate::log::window::fetch;
+use crate::log::window::{STRETCH_BYTES, fetch_all};
 use crate::scan::plan::PlannedUnit;
 use crate::scan::portions::{Portions, STREAMED_BYTES, begin};
 use crate::scan::rows::RowBuilder;
+use crate::scan::stretch::Stretch;
 use crate::scan::worker::{Next, Units, Worker};
 use crate::session::LogPart;
 
 /// A batch is handed on when it holds this many bytes, however few rows they are. What is a view keeps at most twice as
 /// much, and the rest of its last chunk.
 pub(crate) const BATCH_BYTES: usize = 8 << 20;
-
-/// Units are fetched together up to so many bytes, as each request costs its own time.
-const STRETCH_BYTES: u64 = 4 << 20;
-
-/// And across so many bytes of which nothing is wanted: the message indexes between chunks.
-const GAP_BYTES: u64 = 64 << 10;
 
 /// What a stream is made from.
 pub(crate) struct Job {
@@ -119,42 +113,7 @@ struct Scan {
 }
 
 /// A stretch on its way.
-type Fetch = SpawnedTask<Result<Bytes, Fault>>;
-
-/// Units near each other, in the order of the file; at least one.
-#[derive(Debug)]
-struct Stretch(VecDeque<PlannedUnit>);
-
-impl Stretch {
-    fn range(&self) -> Range<u64> {
-        let start = self.0.front().map_or(0, |first| first.unit.offset);
-        start..self.0.back().map_or(start, |last| last.unit.end())
-    }
-
-    fn length(&self) -> u64 {
-        self.range().end - self.range().start
-    }
-
-    /// Bytes of the largest unit, once it is opened, as the index says.
-    fn opened(&self) -> u64 {
-        self.0
-            .iter()
-            .map(|planned| planned.unit.size)
-            .max()
-            .unwrap_or(0)
-    }
-
-    /// Each unit with its bytes, of those of all.
-    fn cut(self, bytes: &Bytes) -> VecDeque<(PlannedUnit, Bytes)> {
-        let start = self.range().start;
-        let each = self.0.into_iter().map(|planned| {
-            let at = |offset: u64| ((offset - start) as usize).min(bytes.len());
-            let own = bytes.slice(at(planned.unit.offset)..at(planned.unit.end()));
-            (planned, own)
-        });
-        each.collect()
-    }
-}
+type Fetch = SpawnedTask<Result<Vec<Bytes>, Fault>>;
 
 impl Scan {
     /// The next batches, or the end.
@@ -210,13 +169,13 @@ impl Scan {
             };
             let mut units = match self.whole(stretch, fetch).await? {
                 Ok(units) => return Ok(Some(Next::Units(units))),
-                Err((stretch, _)) if stretch.0.len() > 1 => {
+                Err((stretch, _)) if stretch.units.len() > 1 => {
                     self.put_back(Some(stretch));
                     self.most = None;
                     continue;
                 }
-                Err((stretch, refused)) => match stretch.0.front() {
-                    Some(planned) if planned.unit.kind == UnitKind::Chunk => stretch.0,
+                Err((stretch, refused)) => match stretch.units.front() {
+                    Some(planned) if planned.unit.kind == UnitKind::Chunk => stretch.units,
                     _ => return Err(refused),
                 },
             };
@@ -230,22 +189,14 @@ impl Scan {
 
     /// The next stretch of units to be fetched.
     fn stretch(&mut self) -> Option<Stretch> {
-        let mut stretch = Stretch(VecDeque::from([self.units.pop_front()?]));
+        let mut stretch = Stretch::from_iter([self.units.pop_front()?]);
         let Some(most) = self.most else {
             return Some(stretch);
         };
         self.most = Some((2 * most).clamp(STRETCH_BYTES / 64, STRETCH_BYTES));
-        let Range { start, mut end } = stretch.range();
-        let near = |next: &PlannedUnit, end: u64| {
-            let Unit { kind, offset, .. } = next.unit;
-            let holds_messages = matches!(kind, UnitKind::Chunk | UnitKind::Loose);
-            holds_messages
-                && (end..=end + GAP_BYTES).contains(&offset)
-                && next.unit.end() - start <= most
-        };
-        while let Some(next) = self.units.pop_front_if(|next| near(next, end)) {
-            end = next.unit.end();
-            stretch.0.push_back(next);
+        let units = &mut self.units;
+        while let Some(next) = units.pop_front_if(|next| stretch.takes(&next.unit, most)) {
+            stretch.push(next);
         }
         Some(stretch)
     }
@@ -254,7 +205,7 @@ impl Scan {
     fn put_back(&mut self, stretch: Option<Stretch>) {
         let ahead = self.fetched.take().map(|(ahead, _)| ahead);
         for stretch in ahead.into_iter().chain(stretch) {
-            for planned in stretch.0.into_iter().rev() {
+            for planned in stretch.units.into_iter().rev() {
                 self.units.push_front(planned);
             }
         }
@@ -271,9 +222,9 @@ impl Scan {
         }
         let fetch = fetch.unwrap_or_else(|| self.fetch(&stretch));
         self.fetch_ahead();
-        let bytes = joined(fetch).await.flatten().map_err(external)?;
+        let fetched = joined(fetch).await.flatten().map_err(external)?;
         let (length, opened) = (stretch.length(), stretch.opened());
-        let units = stretch.cut(&bytes);
+        let units = stretch.cut(&fetched);
         // What a chunk itself claims counts, if the index is too modest.
         let claims = units
             .iter()
@@ -284,7 +235,7 @@ impl Scan {
             && let Err(refused) = self.reserve(length, claimed)
         {
             let units = units.into_iter().map(|(planned, _)| planned);
-            return Ok(Err((Stretch(units.collect()), refused)));
+            return Ok(Err((units.collect(), refused)));
         }
         Ok(Ok(units))
     }
@@ -312,8 +263,8 @@ impl Scan {
     }
 
     fn fetch(&self, stretch: &Stretch) -> Fetch {
-        let (part, range) = (Arc::clone(&self.worker.part), stretch.range());
-        SpawnedTask::spawn(async move { fetch(&part.store, &part.meta, range).await })
+        let (part, ranges) = (Arc::clone(&self.worker.part), stretch.ranges());
+        SpawnedTask::spawn(async move { fetch_all(&part.store, &part.meta, ranges).await })
     }
 
     /// Begins to fetch the next stretch, where there is memory for it.

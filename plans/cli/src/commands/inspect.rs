@@ -3,6 +3,7 @@
 use std::borrow::Cow;
 use std::collections::{BTreeMap, BTreeSet};
 use std::io::Write;
+use std::sync::Arc;
 
 use datafusion::prelude::SessionContext;
 use evermap_datasets::log::definition::LogChannel;
@@ -14,6 +15,7 @@ use evermap_engine::prepare::parse;
 use evermap_engine::sql::{Limits, context};
 use evermap_schemas::Fault;
 use evermap_schemas::roles::{self, Role, Topic};
+use futures::future::join_all;
 use object_store::ObjectStoreExt;
 
 use crate::arguments::InspectArgs;
@@ -261,11 +263,15 @@ async fn chunks(part: &LogPart, read: &LogIndex) -> Chunks {
         .filter(|unit| unit.kind == UnitKind::Chunk)
         .collect();
     let mut compression = BTreeSet::new();
-    for chunk in chunks.iter().step_by(chunks.len().div_ceil(HEADS).max(1)) {
+    let some = chunks.iter().step_by(chunks.len().div_ceil(HEADS).max(1));
+    let heads = some.map(|chunk| {
         let range = chunk.offset..(chunk.offset + 64).min(chunk.end());
-        if let Ok(head) = part.store.get_range(&part.meta.location, range).await {
-            compression.extend(compression_of(&head));
-        }
+        // Futures that borrow could not be sent to other threads together.
+        let (store, file) = (Arc::clone(&part.store), part.meta.location.clone());
+        async move { store.get_range(&file, range).await }
+    });
+    for head in join_all(heads).await.iter().flatten() {
+        compression.extend(compression_of(head));
     }
     Chunks {
         count: chunks.len(),

@@ -68,13 +68,19 @@ pub async fn split(store: &Store, version: &mut Value) -> Result<(), Fault> {
 /// # Errors
 /// A data fault for a part that is missing or damaged.
 pub async fn join(store: &Store, version: &mut Value) -> Result<(), Fault> {
-    for place in places(version) {
-        let Some(list) = version.pointer_mut(&place) else {
-            continue;
-        };
-        if let Some(digests) = digests(list) {
-            let parts = each(digests.iter().map(|digest| part(store, digest))).await?;
-            *list = Value::Array(parts.into_iter().flatten().collect());
+    let lists = places(version).into_iter().filter_map(|place| {
+        let digests = digests(version.pointer(&place)?)?.into_iter();
+        Some((place, digests.map(str::to_owned).collect()))
+    });
+    let lists: Vec<(String, Vec<String>)> = lists.collect();
+    // Those of all lists side by side: there are many lists, most of few parts.
+    let wanted: Vec<&String> = lists.iter().flat_map(|(_, digests)| digests).collect();
+    let parts = each(wanted.iter().map(|digest| part(store, digest))).await?;
+    let mut parts = parts.into_iter();
+    for (place, digests) in &lists {
+        let list = parts.by_ref().take(digests.len()).flatten().collect();
+        if let Some(found) = version.pointer_mut(place) {
+            *found = Value::Array(list);
         }
     }
     Ok(())
@@ -182,6 +188,23 @@ mod tests {
 
         join(&store, &mut rewritten).await.unwrap();
         assert_eq!(rewritten, sorted);
+        join(&store, &mut written).await.unwrap();
+        assert_eq!(written, before);
+    }
+
+    #[tokio::test]
+    async fn parts_of_several_lists_come_back_to_their_own() {
+        let folder = tempfile::tempdir().unwrap();
+        let store = Store::open(folder.path().to_str().unwrap(), true).unwrap();
+        let mut written = version(0..3000);
+        let recipes = (0..2000).map(|number| json!(format!("recipe_{number}")));
+        written["layers"]["keyframes#lift"]["recipes"] = recipes.collect();
+        let before = written.clone();
+        split(&store, &mut written).await.unwrap();
+        for list in ["/sessions", "/layers/keyframes#lift/recipes"] {
+            let parts = digests(written.pointer(list).unwrap()).unwrap();
+            assert!(parts.len() > 1, "{list}: {parts:?}");
+        }
         join(&store, &mut written).await.unwrap();
         assert_eq!(written, before);
     }
