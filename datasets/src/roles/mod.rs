@@ -10,6 +10,7 @@ mod cameras;
 mod mounts;
 pub(crate) mod robots;
 mod rows;
+pub(crate) mod vehicle;
 
 use std::collections::BTreeMap;
 use std::sync::Arc;

@@ -153,16 +153,38 @@ fn tf(chains: &[(&str, &str)]) -> Vec<u8> {
 
 /// The log's tables, opened with a manifest.
 async fn opened_with(log: &[u8], manifest: &str) -> (SessionContext, Dataset) {
+    let manifest = Manifest::parse(manifest).unwrap();
+    opened_by(log, &manifest).await.unwrap()
+}
+
+async fn opened_by(log: &[u8], manifest: &Manifest) -> Result<(SessionContext, Dataset), Fault> {
     let context = context(2);
     let runtime = context.runtime_env();
     let url = Url::parse("memory://logs").unwrap();
     runtime.register_object_store(&url, in_memory(log).await);
     let paths = ["memory://logs/log.mcap".to_owned()];
+    let dataset = Dataset::open(&runtime, &paths, Some(manifest)).await?;
+    dataset.register(&context)?;
+    Ok((context, dataset))
+}
+
+/// What keeps a log from being opened with a manifest: where it is, what it is, and what to do.
+async fn refused(log: &[u8], manifest: &str) -> [String; 3] {
     let manifest = Manifest::parse(manifest).unwrap();
-    let dataset = Dataset::open(&runtime, &paths, Some(&manifest));
-    let dataset = dataset.await.unwrap();
-    dataset.register(&context).unwrap();
-    (context, dataset)
+    let fault = opened_by(log, &manifest).await.err().unwrap();
+    [fault.place, fault.message, fault.next]
+}
+
+/// A log of `nav_msgs/Odometry`: topics, the frame that their messages are of, and how many there are.
+fn odometry(topics: &[(&str, &str, u32)]) -> Vec<u8> {
+    let fields = br#"{"type": "object", "properties": {"child_frame_id": {"type": "string"}}}"#;
+    let mut records = vec![schema(1, "nav_msgs/Odometry", "jsonschema", fields)];
+    for ((topic, frame, messages), id) in topics.iter().zip(1_u16..) {
+        records.push(channel(id, 1, topic, "json"));
+        let said = serde_json::json!({ "child_frame_id": frame }).to_string();
+        records.extend((0..*messages).map(|number| message(id, number, said.as_bytes())));
+    }
+    file(&records, &[])
 }
 
 /// How far ahead the odometry of a log was, or what keeps it from being read.
@@ -233,6 +255,69 @@ async fn a_session_is_opened_again_with_the_robot_that_was_meant() {
     let plain = file(&[definitions, messages(&[1], 3)], &[]);
     let (_, dataset) = opened_with(&plain, "defaults: {vehicle_frame: chassis}").await;
     assert!(dataset.sessions[0].vehicle.to_manifest().is_empty());
+}
+
+#[tokio::test]
+async fn of_odometry_topics_the_one_of_the_vehicle_is_read() {
+    let log = odometry(&[
+        ("/x/odom", "a/base_link", 9),
+        ("/y/odom", "/b/base_footprint", 5),
+        ("/z/odom", "b/base_link", 3),
+    ]);
+    for (manifest, topic, told) in [
+        ("", "/x/odom", true),
+        ("defaults: {vehicle_frame: base_link}", "/x/odom", true),
+        ("defaults: {vehicle_frame: c_link}", "/x/odom", true),
+        ("defaults: {vehicle_frame: a/base_link}", "/x/odom", false),
+        ("defaults: {vehicle_frame: /b/base_link}", "/z/odom", false),
+        (
+            "defaults: {vehicle_frame: b/base_footprint}",
+            "/y/odom",
+            false,
+        ),
+        ("defaults: {vehicle_frame: b/lidar}", "/y/odom", false),
+    ] {
+        let (_, dataset) = opened_with(&log, manifest).await;
+        let session = &dataset.sessions[0];
+        assert_eq!(session.roles.topics("odometry"), [topic], "{manifest}");
+        assert_eq!(
+            dataset.notes.len(),
+            usize::from(told),
+            "{:?}",
+            dataset.notes
+        );
+        // The same rows are read again by what was chosen.
+        let again = Manifest {
+            roles: session.roles.to_manifest(),
+            defaults: session.vehicle.to_manifest(),
+            ..Manifest::default()
+        };
+        assert_eq!(again.defaults.is_empty(), told, "{manifest}");
+        let (_, again) = opened_by(&log, &again).await.unwrap();
+        assert_eq!(again.sessions[0].roles, session.roles);
+    }
+}
+
+#[tokio::test]
+async fn odometry_of_another_robot_than_the_vehicle_is_refused() {
+    let [one, other] = [("/x/odom", "a/base_link", 9), ("/y/odom", "b/base_link", 3)];
+    let said =
+        "expected odometry of b/base_link, found that of a/base_link on /x/odom, another robot's";
+    let vehicle = "defaults: {vehicle_frame: b/base_link}";
+    let alone = refused(&odometry(&[one]), vehicle).await;
+    let next = "say which one is the vehicle in a session manifest: `defaults: { vehicle_frame: a/base_link }`";
+    assert_eq!(alone, ["session log", said, next]);
+    let both = odometry(&[one, other]);
+    let named = format!("{vehicle}\nroles: {{odometry: /x/odom}}");
+    let next = "give the role odometry the topic /y/odom in a session manifest";
+    assert_eq!(refused(&both, &named).await, ["roles.odometry", said, next]);
+    // Frames without a prefix, and of a part of the robot, are nobody else's.
+    for frame in ["base_link", "a/lidar", "a/arm/tool"] {
+        let manifest = format!("defaults: {{vehicle_frame: {frame}}}");
+        let (_, dataset) = opened_with(&odometry(&[one]), &manifest).await;
+        assert_eq!(dataset.sessions[0].roles.topics("odometry"), ["/x/odom"]);
+        assert!(dataset.sessions[0].vehicle.to_manifest().is_empty());
+    }
 }
 
 #[tokio::test]

@@ -59,7 +59,7 @@ pub use gnss_fixes::GnssFix;
 pub use image_annotations::ImageAnnotation;
 pub use imu::ImuMeasurement;
 pub use label_classes::LabelClass;
-pub use odometry::OdometryPose;
+pub use odometry::{OdometryFrame, OdometryPose};
 pub use robots::{Motion, OdometryOf, Robots};
 pub use transforms::Transform;
 

@@ -52,6 +52,9 @@ pub struct Messages {
     /// Where its topics may tell of several robots and the table is of one: how messages become
     /// [`Motion`](super::Motion)s.
     pub robots: Option<&'static Messages>,
+    /// Where messages may name the vehicle that all of their topic are of: how they become
+    /// [`OdometryFrame`](super::OdometryFrame)s.
+    pub vehicle: Option<&'static Messages>,
     /// The frames that a message says are fixed, which the others of its session must not contradict.
     pub mounts: Option<fn(&Message<'_>) -> Vec<Mount>>,
     /// From messages to rows.
@@ -72,6 +75,7 @@ impl Messages {
             lasting: false,
             shared: false,
             robots: None,
+            vehicle: None,
             mounts: None,
             read: crate::roles::message::read::<T>,
         }
