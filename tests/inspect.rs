@@ -826,6 +826,90 @@ fn of_robots_with_odometry_topics_that_of_the_vehicle_is_read_and_another_ones_r
 }
 
 #[test]
+fn of_robots_whose_frames_are_called_alike_one_is_read_and_halves_of_two_are_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    let [xyz, xyzw, odometry] = members();
+    let string = json!({"type": "string"});
+    let image = json!({
+        "frame_id": string, "format": string, "data": {"type": "string", "contentEncoding": "base64"},
+    });
+    let transform = json!({
+        "parent_frame_id": string, "child_frame_id": string, "translation": xyz, "rotation": xyzw,
+    });
+    let fixed = json!({
+        "parent_frame_id": "base_link", "child_frame_id": "front",
+        "translation": {"x": 1.0, "y": 0.0, "z": 0.0}, "rotation": {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0},
+    });
+    let picture = json!({"frame_id": "front", "format": "jpeg", "data": "/9j/"});
+    let odom = |topic, step_m| {
+        let messages = odometry_of("base_link", step_m);
+        (topic, "nav_msgs/Odometry", odometry.clone(), messages)
+    };
+    let camera = |topic| {
+        let messages = vec![picture.clone()];
+        (topic, "foxglove.CompressedImage", image.clone(), messages)
+    };
+    let [mut first, second] = [odom("/robot1/odom", 0.1), odom("/robot2/odom", 0.2)];
+    first.3.pop();
+    let topics = [
+        first,
+        second,
+        camera("/robot1/front/image"),
+        camera("/robot2/front/image"),
+        (
+            "/robot1/tf_static",
+            "foxglove.FrameTransform",
+            transform,
+            vec![fixed],
+        ),
+    ];
+    write_topics(&at("drive.mcap"), &topics);
+    let chosen = "roles: { odometry: /robot2/odom }\n";
+    std::fs::write(at("robot2.yaml"), chosen).unwrap();
+    let halves = "roles:\n  odometry: /robot2/odom\n  frames: /robot1/front/image\n";
+    std::fs::write(at("halves.yaml"), halves).unwrap();
+    let given = ["--sessions", "drive.mcap"];
+    let run = |map: &str, more: &[&str]| {
+        let run = ["run", "trajectory", "--map", map, "--progress", "none"];
+        run_in(folder.path(), &[&run[..], &given[..], more].concat())
+    };
+    let driven_m = |map: &str| {
+        let query = "SELECT max(map_from_vehicle['x']) AS m FROM poses";
+        let read = ["sql", "--map", map, "--format", "json", query];
+        let read = run_in(folder.path(), &read).expect(0).json();
+        read[0]["m"].as_f64().unwrap()
+    };
+    let note = "note: session drive: topics of several robots would do: those behind /robot1 are read, and none behind /robot2; \
+                say which one is the vehicle in a session manifest: `roles: { odometry: /robot2/odom }`";
+    let told = run("first", &[]).expect(0).stderr;
+    assert!(told.contains(note), "{told}");
+    let named = run("second", &["--manifest", "robot2.yaml"])
+        .expect(0)
+        .stderr;
+    assert!(!named.contains("several robots"), "{named}");
+    let (first_m, second_m) = (driven_m("first"), driven_m("second"));
+    assert!(
+        (1.0..=1.9).contains(&first_m) && (second_m - 2.0 * first_m).abs() < 0.5,
+        "{first_m} {second_m}"
+    );
+
+    let manifest = ["--manifest", "halves.yaml"];
+    let check = [&["check", "trajectory"][..], &given[..], &manifest[..]].concat();
+    for refused in [run("map", &manifest), run_in(folder.path(), &check)] {
+        let refused = refused.expect(1).stderr;
+        for said in [
+            "expected topics of one robot, found /robot1/front/image for the role frames, and others behind /robot2",
+            "halves.yaml:3:",
+            "give it topics behind /robot2, such as /robot2/front/image",
+        ] {
+            assert!(refused.contains(said), "{said}: {refused}");
+        }
+    }
+    assert!(!at("map").join("versions").exists());
+}
+
+#[test]
 fn odometry_of_a_frame_elsewhere_on_the_vehicle_is_told() {
     let folder = tempfile::tempdir().unwrap();
     let string = json!({"type": "string"});

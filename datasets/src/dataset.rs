@@ -269,6 +269,8 @@ async fn open_session(
     let mut resolved = Roles::named(roles, given, &topics)?;
     let of_vehicle = OfVehicle::of(roles, &parts, &topics, &resolved, said.vehicle).await;
     let mut notes = resolved.infer(roles, |role| of_vehicle.choices(role));
+    notes.extend(of_vehicle.note().map(str::to_owned));
+    let own = of_vehicle.topics();
     let mut session = Session {
         name,
         site,
@@ -279,10 +281,12 @@ async fn open_session(
     };
     for role in roles {
         let is_given = given.contains_key(role.name);
-        if !is_given && let Some((choices, note)) = robots::instead(role, &session, &topics).await?
-        {
+        if !is_given && let Some((choices, note)) = robots::instead(role, &session, &own).await? {
             session.roles.give(role, choices);
             notes.push(note);
+        }
+        if is_given {
+            of_vehicle.check(role, session.roles.topics(role.name))?;
         }
         vehicle::check(role, &session, &topics, is_given).await?;
     }

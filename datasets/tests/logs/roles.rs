@@ -320,6 +320,133 @@ async fn odometry_of_another_robot_than_the_vehicle_is_refused() {
     }
 }
 
+/// A log of topics, each with the frames that its messages name, that many times.
+fn named(topics: &[(&str, &str, &str, u32)]) -> Vec<u8> {
+    let text = serde_json::json!({"type": "string"});
+    let mut records = Vec::new();
+    for ((topic, kind, frame, messages), id) in topics.iter().zip(1_u16..) {
+        let fields = serde_json::json!({"type": "object", "properties": {
+            "frame_id": text, "child_frame_id": text,
+        }});
+        let fields = fields.to_string();
+        records.push(schema(id, kind, "jsonschema", fields.as_bytes()));
+        records.push(channel(id, id, topic, "json"));
+        let said = serde_json::json!({"frame_id": frame, "child_frame_id": frame}).to_string();
+        records.extend((0..*messages).map(|number| message(id, number, said.as_bytes())));
+    }
+    file(&records, &[])
+}
+
+const ODOMETRY: &str = "nav_msgs/Odometry";
+const IMAGE: &str = "foxglove.CompressedImage";
+const CALIBRATION: &str = "foxglove.CameraCalibration";
+const TRANSFORM: &str = "foxglove.FrameTransform";
+
+/// Two robots of which the second one speaks more, with cameras of these frames.
+fn robots(cameras: [&'static str; 2], vehicles: [&'static str; 2]) -> Vec<Topics> {
+    vec![
+        ("/r1/cam/calibration", CALIBRATION, cameras[0], 1),
+        ("/r1/cam/image", IMAGE, cameras[0], 2),
+        ("/r1/odom", ODOMETRY, vehicles[0], 2),
+        ("/r2/cam/calibration", CALIBRATION, cameras[1], 1),
+        ("/r2/cam/image", IMAGE, cameras[1], 2),
+        ("/r2/odom", ODOMETRY, vehicles[1], 3),
+    ]
+}
+
+type Topics = (&'static str, &'static str, &'static str, u32);
+
+/// What is read of some roles.
+fn read_of(dataset: &Dataset) -> Vec<String> {
+    let roles = &dataset.sessions[0].roles;
+    let read = ["odometry", "frames", "calibration", "transforms"].map(|role| roles.topics(role));
+    read.concat()
+}
+
+#[tokio::test]
+async fn topics_of_one_robot_are_read_where_frames_of_several_are_called_alike() {
+    let alike = || robots(["cam", "cam"], ["base_link", "base_link"]);
+    let of = |robot: &str| {
+        let names = ["odom", "cam/image", "cam/calibration"];
+        names.map(|name| format!("/{robot}/{name}"))
+    };
+    let mut own = alike();
+    own.push(("/r1/tf_static", TRANSFORM, "cam", 1));
+    let own = named(&own);
+    let (_, dataset) = opened_with(&own, "").await;
+    let first = [&of("r1")[..], &["/r1/tf_static".to_owned()]].concat();
+    assert_eq!(read_of(&dataset), first);
+    let note = "session log: topics of several robots would do: those behind /r1 are read, and none behind /r2; say which one \
+                is the vehicle in a session manifest: `roles: { odometry: /r2/odom }`";
+    assert_eq!(dataset.notes, [note]);
+    // What was chosen is chosen again, and nothing said.
+    let again = Manifest {
+        roles: dataset.sessions[0].roles.to_manifest(),
+        ..Manifest::default()
+    };
+    let (_, again) = opened_by(&own, &again).await.unwrap();
+    assert_eq!(again.sessions[0].roles, dataset.sessions[0].roles);
+    assert!(again.notes.is_empty(), "{:?}", again.notes);
+    for manifest in [
+        "roles: {odometry: /r2/odom}",
+        "roles: {frames: /r2/cam/image}",
+    ] {
+        let (_, dataset) = opened_with(&own, manifest).await;
+        assert_eq!(read_of(&dataset), of("r2"), "{manifest}");
+        assert!(dataset.notes.is_empty(), "{:?}", dataset.notes);
+    }
+    // Transforms that all share do not tell them apart, and cameras of one frame do.
+    let mut shared = alike();
+    shared.push(("/tf_static", TRANSFORM, "cam", 1));
+    let (_, dataset) = opened_with(&named(&shared), "").await;
+    let second = [&of("r2")[..], &["/tf_static".to_owned()]].concat();
+    assert_eq!(read_of(&dataset), second);
+}
+
+#[tokio::test]
+async fn cameras_of_one_vehicle_that_have_odometry_are_all_read() {
+    let mut topics = robots(["front", "rear"], ["base_link", "base_link"]);
+    topics.push(("/tf_static", TRANSFORM, "front", 1));
+    let (_, dataset) = opened_with(&named(&topics), "").await;
+    let frames = dataset.sessions[0].roles.topics("frames");
+    assert_eq!(frames, ["/r1/cam/image", "/r2/cam/image"]);
+}
+
+#[tokio::test]
+async fn the_vehicle_that_is_named_chooses_all_topics_of_its_robot() {
+    let mut topics = robots(["a/cam", "b/cam"], ["a/base_link", "b/base_link"]);
+    topics.push(("/tf_static", TRANSFORM, "a/cam", 1));
+    let log = named(&topics);
+    for (frame, robot) in [("a/base_link", "r1"), ("b/lidar", "r2")] {
+        let manifest = format!("defaults: {{vehicle_frame: {frame}}}");
+        let (_, dataset) = opened_with(&log, &manifest).await;
+        let names = ["odom", "cam/image", "cam/calibration"];
+        let own = names.map(|name| format!("/{robot}/{name}"));
+        let own = [&own[..], &["/tf_static".to_owned()]].concat();
+        assert_eq!(read_of(&dataset), own);
+        assert!(dataset.notes.is_empty(), "{:?}", dataset.notes);
+    }
+    let (_, dataset) = opened_with(&log, "").await;
+    let choice = "vehicle in a session manifest: `defaults: { vehicle_frame: a/base_link }`";
+    assert!(dataset.notes[0].ends_with(choice), "{:?}", dataset.notes);
+    // Their cameras are told apart by their frames, so a manifest may give those of both.
+    let both = "roles: {odometry: /r1/odom, frames: ['/r1/*', '/r2/*']}";
+    let (_, dataset) = opened_with(&log, both).await;
+    assert_eq!(dataset.sessions[0].roles.topics("frames").len(), 2);
+}
+
+#[tokio::test]
+async fn halves_of_two_robots_are_refused() {
+    let log = named(&robots(["cam", "cam"], ["base_link", "base_link"]));
+    let said = "expected topics of one robot, found /r1/cam/image for the role frames, and others behind /r2";
+    let next = "give it topics behind /r2, such as /r2/cam/image, or read all behind /r1: say which one is the vehicle in a \
+                session manifest: `roles: { odometry: /r1/odom }`";
+    for frames in ["/r1/cam/image", "/*/cam/image"] {
+        let manifest = format!("roles: {{odometry: /r2/odom, frames: '{frames}'}}");
+        assert_eq!(refused(&log, &manifest).await, ["roles.frames", said, next]);
+    }
+}
+
 #[tokio::test]
 async fn odometry_is_the_transform_that_ends_in_the_frame_that_a_manifest_names() {
     let log = tf(&[("map", "odom"), ("odom", "chassis"), ("chassis", "wheel")]);

@@ -60,7 +60,7 @@ pub use image_annotations::ImageAnnotation;
 pub use imu::ImuMeasurement;
 pub use label_classes::LabelClass;
 pub use odometry::{OdometryFrame, OdometryPose};
-pub use robots::{Motion, OdometryOf, Robots};
+pub use robots::{Motion, Namespaces, OdometryOf, Robots, Stray};
 pub use transforms::Transform;
 
 #[cfg(test)]

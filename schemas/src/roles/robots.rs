@@ -1,11 +1,15 @@
 //! Robots that share a log: whose odometry is among its transforms, and whose is meant.
 
+mod namespaces;
+
 use std::collections::{BTreeMap, BTreeSet};
 
 use crate::roles::frame_names::{self, shown};
 use crate::roles::transforms::{self, Transform};
 use crate::roles::{FromMessage, Message};
 use crate::{Fault, record};
+
+pub use namespaces::{Namespaces, Stray, told_name};
 
 record! {
     /// A frame in another, as a message of transforms says: it may be that a robot's odometry moves it.
