@@ -837,10 +837,8 @@ fn write_topics(path: &Path, topics: &[(&str, &str, Value, Vec<Value>)]) {
     log.finish().unwrap();
 }
 
-#[test]
-fn odometry_of_a_frame_elsewhere_on_the_vehicle_is_told() {
-    let folder = tempfile::tempdir().unwrap();
-    let string = json!({"type": "string"});
+/// Members of a point, of a rotation, and of `nav_msgs/Odometry`.
+fn members() -> [Value; 3] {
     let object = |names: &[&str]| {
         let member = |name: &&str| ((*name).to_owned(), json!({"type": "number"}));
         let members: serde_json::Map<_, _> = names.iter().map(member).collect();
@@ -849,20 +847,182 @@ fn odometry_of_a_frame_elsewhere_on_the_vehicle_is_told() {
     let (xyz, xyzw) = (object(&["x", "y", "z"]), object(&["x", "y", "z", "w"]));
     let pose = json!({"type": "object", "properties": {"position": xyz, "orientation": xyzw}});
     let covariant = json!({"type": "object", "properties": {"pose": pose}});
+    let odometry = json!({"child_frame_id": {"type": "string"}, "pose": covariant});
+    [xyz, xyzw, odometry]
+}
+
+/// Messages of odometry over two seconds, each so many metres ahead.
+fn odometry_of(frame: &str, step_m: f64) -> Vec<Value> {
+    let ahead = json!({"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0});
+    let message = |tenth: u32| {
+        let place = json!({"x": step_m * f64::from(tenth), "y": 0.0, "z": 0.0});
+        let pose = json!({"position": place, "orientation": ahead});
+        json!({"child_frame_id": frame, "pose": {"pose": pose}})
+    };
+    (0..20).map(message).collect()
+}
+
+#[test]
+fn of_robots_with_odometry_topics_that_of_the_vehicle_is_read_and_another_ones_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    let [.., odometry] = members();
+    let topic = |topic, frame, step_m| {
+        let messages = odometry_of(frame, step_m);
+        (topic, "nav_msgs/Odometry", odometry.clone(), messages)
+    };
+    let topics = [
+        topic("/robot1/odom", "robot1/base_link", 0.1),
+        topic("/robot2/odom", "robot2/base_link", 0.2),
+    ];
+    write_topics(&at("drive.mcap"), &topics);
+    let vehicle = "defaults: { vehicle_frame: robot2/base_link }\n";
+    std::fs::write(at("robot2.yaml"), vehicle).unwrap();
+    let first = format!("{vehicle}roles: {{ odometry: /robot1/odom }}\n");
+    std::fs::write(at("first.yaml"), first).unwrap();
+    let given = ["--sessions", "drive.mcap"];
+    let run = |map: &str, more: &[&str]| {
+        let run = ["run", "trajectory", "--map", map, "--progress", "none"];
+        run_in(folder.path(), &[&run[..], &given[..], more].concat())
+    };
+    let driven_m = |map: &str| {
+        let query = "SELECT max(map_from_vehicle['x']) AS m FROM poses";
+        let read = ["sql", "--map", map, "--format", "json", query];
+        let read = run_in(folder.path(), &read).expect(0).json();
+        read[0]["m"].as_f64().unwrap()
+    };
+    let set = ["--set", "inertial_odometry.vehicle_frame=robot2/base_link"];
+    run("first", &[]).expect(0);
+    run("second", &["--manifest", "robot2.yaml"]).expect(0);
+    run("set", &set).expect(0);
+    let [first_m, second_m, set_m] = ["first", "second", "set"].map(driven_m);
+    assert!((1.0..=1.9).contains(&first_m), "{first_m}");
+    assert!(
+        (second_m - 2.0 * first_m).abs() < 0.5,
+        "{first_m} {second_m}"
+    );
+    assert_eq!(set_m, second_m);
+
+    let check = ["check", "trajectory"];
+    let check = |more: &[&str]| run_in(folder.path(), &[&check[..], &given[..], more].concat());
+    let named = ["--manifest", "first.yaml"];
+    for refused in [run("map", &named), check(&named)] {
+        let refused = refused.expect(1).stderr;
+        for said in [
+            "expected odometry of robot2/base_link, found that of robot1/base_link on /robot1/odom, another robot's",
+            "first.yaml:2:",
+            "give the role odometry the topic /robot2/odom in a session manifest",
+        ] {
+            assert!(refused.contains(said), "{said}: {refused}");
+        }
+    }
+    let third = ["--set", "inertial_odometry.vehicle_frame=robot3/base_link"];
+    for refused in [run("map", &third), check(&third)] {
+        let refused = refused.expect(1).stderr;
+        let said = "expected odometry of robot3/base_link, found that of robot1/base_link";
+        assert!(refused.contains(said), "{refused}");
+    }
+    assert!(!at("map").join("versions").exists());
+}
+
+#[test]
+fn of_robots_whose_frames_are_called_alike_one_is_read_and_halves_of_two_are_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    let [xyz, xyzw, odometry] = members();
+    let string = json!({"type": "string"});
+    let image = json!({
+        "frame_id": string, "format": string, "data": {"type": "string", "contentEncoding": "base64"},
+    });
+    let transform = json!({
+        "parent_frame_id": string, "child_frame_id": string, "translation": xyz, "rotation": xyzw,
+    });
+    let fixed = json!({
+        "parent_frame_id": "base_link", "child_frame_id": "front",
+        "translation": {"x": 1.0, "y": 0.0, "z": 0.0}, "rotation": {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0},
+    });
+    let picture = json!({"frame_id": "front", "format": "jpeg", "data": "/9j/"});
+    let odom = |topic, step_m| {
+        let messages = odometry_of("base_link", step_m);
+        (topic, "nav_msgs/Odometry", odometry.clone(), messages)
+    };
+    let camera = |topic| {
+        let messages = vec![picture.clone()];
+        (topic, "foxglove.CompressedImage", image.clone(), messages)
+    };
+    let [mut first, second] = [odom("/robot1/odom", 0.1), odom("/robot2/odom", 0.2)];
+    first.3.pop();
+    let topics = [
+        first,
+        second,
+        camera("/robot1/front/image"),
+        camera("/robot2/front/image"),
+        (
+            "/robot1/tf_static",
+            "foxglove.FrameTransform",
+            transform,
+            vec![fixed],
+        ),
+    ];
+    write_topics(&at("drive.mcap"), &topics);
+    let chosen = "roles: { odometry: /robot2/odom }\n";
+    std::fs::write(at("robot2.yaml"), chosen).unwrap();
+    let halves = "roles:\n  odometry: /robot2/odom\n  frames: /robot1/front/image\n";
+    std::fs::write(at("halves.yaml"), halves).unwrap();
+    let given = ["--sessions", "drive.mcap"];
+    let run = |map: &str, more: &[&str]| {
+        let run = ["run", "trajectory", "--map", map, "--progress", "none"];
+        run_in(folder.path(), &[&run[..], &given[..], more].concat())
+    };
+    let driven_m = |map: &str| {
+        let query = "SELECT max(map_from_vehicle['x']) AS m FROM poses";
+        let read = ["sql", "--map", map, "--format", "json", query];
+        let read = run_in(folder.path(), &read).expect(0).json();
+        read[0]["m"].as_f64().unwrap()
+    };
+    let note = "note: session drive: topics of several robots would do: those behind /robot1 are read, and none behind /robot2; \
+                say which one is the vehicle in a session manifest: `roles: { odometry: /robot2/odom }`";
+    let told = run("first", &[]).expect(0).stderr;
+    assert!(told.contains(note), "{told}");
+    let named = run("second", &["--manifest", "robot2.yaml"])
+        .expect(0)
+        .stderr;
+    assert!(!named.contains("several robots"), "{named}");
+    let (first_m, second_m) = (driven_m("first"), driven_m("second"));
+    assert!(
+        (1.0..=1.9).contains(&first_m) && (second_m - 2.0 * first_m).abs() < 0.5,
+        "{first_m} {second_m}"
+    );
+
+    let manifest = ["--manifest", "halves.yaml"];
+    let check = [&["check", "trajectory"][..], &given[..], &manifest[..]].concat();
+    for refused in [run("map", &manifest), run_in(folder.path(), &check)] {
+        let refused = refused.expect(1).stderr;
+        for said in [
+            "expected topics of one robot, found /robot1/front/image for the role frames, and others behind /robot2",
+            "halves.yaml:3:",
+            "give it topics behind /robot2, such as /robot2/front/image",
+        ] {
+            assert!(refused.contains(said), "{said}: {refused}");
+        }
+    }
+    assert!(!at("map").join("versions").exists());
+}
+
+#[test]
+fn odometry_of_a_frame_elsewhere_on_the_vehicle_is_told() {
+    let folder = tempfile::tempdir().unwrap();
+    let string = json!({"type": "string"});
+    let [xyz, xyzw, members] = members();
     let place = |x: f64| json!({"x": x, "y": 0.0, "z": 0.0});
     let ahead = json!({"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0});
     let inspected = |child: &str| {
         let fixed = json!({
             "parent_frame_id": "base_link", "child_frame_id": "imu_link", "translation": place(2.0), "rotation": ahead,
         });
-        let odometry = |tenth: u32| {
-            let pose = json!({"position": place(0.1 * f64::from(tenth)), "orientation": ahead});
-            json!({"child_frame_id": child, "pose": {"pose": pose}})
-        };
         let transform = json!({
             "parent_frame_id": string, "child_frame_id": string, "translation": xyz, "rotation": xyzw,
         });
-        let members = json!({"child_frame_id": string, "pose": covariant});
         let topics = [
             (
                 "/tf_static",
@@ -873,8 +1033,8 @@ fn odometry_of_a_frame_elsewhere_on_the_vehicle_is_told() {
             (
                 "/odom",
                 "nav_msgs/Odometry",
-                members,
-                (0..20).map(odometry).collect::<Vec<_>>(),
+                members.clone(),
+                odometry_of(child, 0.1),
             ),
         ];
         write_topics(&folder.path().join("drive.mcap"), &topics);

@@ -15,7 +15,8 @@ use crate::fault::OrFault;
 use crate::losses::{Loss, LossLedger, Reason};
 use crate::manifest::{BITS, Bits, Manifest, ROLES, Roles, TopicBits, Vehicle, of_role};
 use crate::recordings::{Recording, Recordings};
-use crate::roles::robots;
+use crate::roles::vehicle::OfVehicle;
+use crate::roles::{robots, vehicle};
 use crate::scan::{LazyTable, LogTable, McapTable, MessagesTable, RecordTable, TopicTable};
 use crate::session::{LogPart, Session};
 use crate::{listing, roles};
@@ -263,28 +264,36 @@ async fn open_session(
     for (number, part) in parts.iter_mut().enumerate() {
         part.part = number as u32;
     }
+    let parts: Vec<Arc<LogPart>> = parts.into_iter().map(Arc::new).collect();
     let topics = topics_of(&parts);
-    let (resolved, mut notes) = Roles::resolve(roles, given, &topics)?;
+    let mut resolved = Roles::named(roles, given, &topics)?;
+    let of_vehicle = OfVehicle::of(roles, &parts, &topics, &resolved, said.vehicle).await;
+    let mut notes = resolved.infer(roles, |role| of_vehicle.choices(role));
+    notes.extend(of_vehicle.note().map(str::to_owned));
+    let own = of_vehicle.topics();
     let mut session = Session {
         name,
         site,
-        parts: parts.into_iter().map(Arc::new).collect(),
+        parts,
         roles: resolved,
         bits: TopicBits::new(),
         vehicle: said.vehicle.clone(),
     };
     for role in roles {
-        if !given.contains_key(role.name)
-            && let Some((choices, note)) = robots::instead(role, &session, &topics).await?
-        {
+        let is_given = given.contains_key(role.name);
+        if !is_given && let Some((choices, note)) = robots::instead(role, &session, &own).await? {
             session.roles.give(role, choices);
             notes.push(note);
         }
+        if is_given {
+            of_vehicle.check(role, session.roles.topics(role.name))?;
+        }
+        vehicle::check(role, &session, &topics, is_given).await?;
     }
     let pictures = roles.iter().filter(|role| has_pictures(role));
     let pictures = pictures.flat_map(|role| session.roles.topics(role.name));
     session.bits = said.bits.of_topics(pictures)?;
-    if !robots::matter(roles, &session) {
+    if !of_vehicle.matters() && !robots::matter(roles, &session) {
         session.vehicle = Vehicle::default();
     }
     Ok((session, notes, faults))
@@ -295,7 +304,7 @@ fn has_pictures(role: &Role) -> bool {
 }
 
 /// The topics of a session, by name.
-fn topics_of(parts: &[LogPart]) -> Vec<Topic> {
+fn topics_of(parts: &[Arc<LogPart>]) -> Vec<Topic> {
     let mut topics = BTreeMap::<&str, (&str, u64, bool)>::new();
     for part in parts {
         for channel in part.index.channels.values() {

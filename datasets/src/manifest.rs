@@ -208,6 +208,11 @@ impl Roles {
         self.0.get(role).map_or(&[], Vec::as_slice)
     }
 
+    /// Whether the role has been given topics, or none.
+    pub(crate) fn are_given(&self, role: &str) -> bool {
+        self.0.contains_key(role)
+    }
+
     /// Gives a role other topics.
     pub(crate) fn give(&mut self, role: &Role, choices: Vec<Choice>) {
         let topics = choices.into_iter().map(|choice| choice.topic);
@@ -223,31 +228,42 @@ impl Roles {
             .collect()
     }
 
-    /// The topics, of those of a session, that a manifest gives to each role; what it leaves out is inferred. Choices
-    /// that another reader might have made differently are told in the notes.
+    /// The topics, of those of a session, that a manifest gives to roles.
     ///
     /// # Errors
     /// A user fault when a pattern is malformed, two topics match the pattern of a role that only one plays, those that
     /// match are of types that only other roles are played by, or none of them has fields and the role is read by them.
-    pub fn resolve(
+    pub(crate) fn named(
         roles: &[Role],
         given: &BTreeMap<String, Vec<String>>,
         topics: &[Topic],
-    ) -> Result<(Self, Vec<String>), Fault> {
-        let mut resolved = BTreeMap::new();
+    ) -> Result<Self, Fault> {
+        let mut named = BTreeMap::new();
+        for role in roles {
+            if let Some(patterns) = given.get(role.name) {
+                named.insert(role.name, matching(roles, role, patterns, topics)?);
+            }
+        }
+        Ok(Self(named))
+    }
+
+    /// Gives the roles that a manifest leaves out the topics that are chosen for them. Choices that another reader might
+    /// have made differently are told in the notes.
+    pub(crate) fn infer(
+        &mut self,
+        roles: &[Role],
+        choose: impl Fn(&Role) -> Vec<Choice>,
+    ) -> Vec<String> {
         let mut notes = Vec::new();
         for role in roles {
-            let found = match given.get(role.name) {
-                Some(patterns) => matching(roles, role, patterns, topics)?,
-                None => {
-                    let choices = role.infer(topics);
-                    notes.extend(choices.iter().filter_map(|choice| note(role, choice)));
-                    choices.into_iter().map(|choice| choice.topic).collect()
-                }
-            };
-            resolved.insert(role.name, found);
+            if self.are_given(role.name) {
+                continue;
+            }
+            let choices = choose(role);
+            notes.extend(choices.iter().filter_map(|choice| note(role, choice)));
+            self.give(role, choices);
         }
-        Ok((Self(resolved), notes))
+        notes
     }
 }
 

@@ -3,6 +3,16 @@ use evermap_schemas::roles::ALL;
 
 use super::*;
 
+/// The topics that a manifest gives to roles, and those that are inferred for the others.
+fn resolve(
+    given: &BTreeMap<String, Vec<String>>,
+    topics: &[Topic],
+) -> Result<(Roles, Vec<String>), Fault> {
+    let mut roles = Roles::named(ALL, given, topics)?;
+    let notes = roles.infer(ALL, |role| role.infer(topics));
+    Ok((roles, notes))
+}
+
 #[test]
 fn a_manifest_overrules_and_refuses_unknown_keys() {
     let manifest = Manifest::parse("roles: {frames: ['/x/*'], odometry: }\nsite: here").unwrap();
@@ -11,7 +21,7 @@ fn a_manifest_overrules_and_refuses_unknown_keys() {
         Topic::new("/x/1", "any", 1),
         Topic::new("/y", "sensor_msgs/msg/Image", 1),
     ];
-    let (roles, _) = Roles::resolve(ALL, &manifest.roles, &topics).unwrap();
+    let (roles, _) = resolve(&manifest.roles, &topics).unwrap();
     assert_eq!(roles.topics("frames"), ["/x/1"]);
     assert_eq!(roles.topics("odometry"), ["/odom"]);
     let fault = Manifest::parse("sights: here").unwrap_err();
@@ -29,7 +39,7 @@ fn a_topic_of_a_type_that_other_roles_have_plays_none_but_theirs() {
     ];
     let resolved = |role: &str, topic: &str| {
         let given = BTreeMap::from([(role.to_owned(), vec![topic.to_owned()])]);
-        let (roles, _) = Roles::resolve(ALL, &given, &topics)?;
+        let (roles, _) = resolve(&given, &topics)?;
         Ok::<_, Fault>(roles.topics(role).to_vec())
     };
     let all = resolved("frames", "/front/*").unwrap();
@@ -56,7 +66,7 @@ fn a_topic_without_fields_plays_what_is_read_without_them_and_is_refused_for_the
     ];
     let resolved = |role: &str, topic: &str| {
         let given = BTreeMap::from([(role.to_owned(), vec![topic.to_owned()])]);
-        let (roles, _) = Roles::resolve(ALL, &given, &topics)?;
+        let (roles, _) = resolve(&given, &topics)?;
         Ok::<_, Fault>(roles.topics(role).to_vec())
     };
     assert_eq!(resolved("frames", "/image").unwrap(), ["/image"]);
@@ -73,12 +83,12 @@ fn a_topic_without_fields_plays_what_is_read_without_them_and_is_refused_for_the
 fn a_choice_is_told_unless_a_manifest_made_it() {
     let nav = "nav_msgs/msg/Odometry";
     let topics = [Topic::new("/a", nav, 5), Topic::new("/b", nav, 9)];
-    let (roles, notes) = Roles::resolve(ALL, &BTreeMap::new(), &topics).unwrap();
+    let (roles, notes) = resolve(&BTreeMap::new(), &topics).unwrap();
     assert_eq!(roles.topics("odometry"), ["/b"]);
     assert!(notes[0].contains("/a"), "{notes:?}");
-    let again = Roles::resolve(ALL, &roles.to_manifest(), &topics).unwrap();
+    let again = resolve(&roles.to_manifest(), &topics).unwrap();
     assert_eq!(again, (roles, Vec::new()));
     let both = BTreeMap::from([("odometry".to_owned(), vec!["/*".to_owned()])]);
-    let fault = Roles::resolve(ALL, &both, &topics).unwrap_err();
+    let fault = resolve(&both, &topics).unwrap_err();
     assert!(fault.to_string().contains("expected one topic"), "{fault}");
 }

@@ -7,9 +7,11 @@ use datafusion::error::Result as ScanResult;
 use datafusion::execution::memory_pool::GreedyMemoryPool;
 use datafusion::physical_plan::metrics::ExecutionPlanMetricsSet;
 use evermap_schemas::roles::Messages;
-use evermap_schemas::{Fault, LayerRow};
+use evermap_schemas::{Fault, LayerRow, rows};
+use futures::TryStreamExt;
 use futures::stream::BoxStream;
 
+use crate::fault::OrFault;
 use crate::roles::rows::{Known, RoleRows};
 use crate::scan::{Job, ScanMetrics, Wanted, stream};
 use crate::session::LogPart;
@@ -47,4 +49,18 @@ pub(super) fn batches<T: LayerRow>(
         topic: String::new(),
         metrics: ScanMetrics::new(&ExecutionPlanMetricsSet::new(), 0),
     }))
+}
+
+/// The first row that a topic's messages in a file become.
+pub(super) async fn first<T: LayerRow>(
+    messages: Messages,
+    part: &Arc<LogPart>,
+    topic: &str,
+    known: Known,
+) -> Result<Option<T>, Fault> {
+    let mut batches = batches::<T>(messages, part, topic, known, 1)?;
+    match batches.try_next().await.or_fault()? {
+        Some(batch) => Ok(rows::<T>(&batch)?.into_iter().next()),
+        None => Ok(None),
+    }
 }

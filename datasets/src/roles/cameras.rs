@@ -4,17 +4,14 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
+use evermap_schemas::Fault;
 use evermap_schemas::roles::{
-    CAMERA_FRAMES, CAMERAS, CalibratedCamera, CalibratedFrame, CameraNames, Messages, Role,
-    calibration,
+    CAMERA_FRAMES, CAMERAS, CalibratedCamera, CalibratedFrame, CameraNames, Role, calibration,
 };
-use evermap_schemas::{Fault, LayerRow, rows};
-use futures::TryStreamExt;
 
-use crate::fault::OrFault;
 use crate::losses::{Loss, Reason};
 use crate::roles::Topics;
-use crate::roles::ahead::batches;
+use crate::roles::ahead::first;
 use crate::roles::rows::Known;
 use crate::session::{LogPart, Session};
 
@@ -59,12 +56,21 @@ pub(super) async fn read(
 
 /// Names the camera of a topic by its first calibration in a file; where none is read, its frame is noted.
 async fn name(part: &Arc<LogPart>, topic: &str, names: &mut CameraNames) -> Result<(), Fault> {
-    if let Some(camera) = first::<CalibratedCamera>(CAMERAS, part, topic, names).await? {
+    let (cameras, frames) = (known(names), known(names));
+    if let Some(camera) = first::<CalibratedCamera>(CAMERAS, part, topic, cameras).await? {
         names.add(topic, camera);
-    } else if let Some(named) = first::<CalibratedFrame>(CAMERA_FRAMES, part, topic, names).await? {
+    } else if let Some(named) = first::<CalibratedFrame>(CAMERA_FRAMES, part, topic, frames).await?
+    {
         names.add_unread(topic, named.frame);
     }
     Ok(())
+}
+
+fn known(cameras: &CameraNames) -> Known {
+    Known {
+        cameras: cameras.clone(),
+        ..Known::default()
+    }
 }
 
 /// Counts the calibration topics whose camera is not read, in the first file of each session.
@@ -79,23 +85,5 @@ fn count_left_out(topics: &Topics, parts: &[Arc<LogPart>], cameras: &Cameras) {
                 losses.note_topic(Reason::SameCamera, topic, 0, loss, detail);
             }
         }
-    }
-}
-
-/// The first row of a topic's calibrations in a file.
-async fn first<T: LayerRow>(
-    messages: Messages,
-    part: &Arc<LogPart>,
-    topic: &str,
-    cameras: &CameraNames,
-) -> Result<Option<T>, Fault> {
-    let known = Known {
-        cameras: cameras.clone(),
-        ..Known::default()
-    };
-    let mut batches = batches::<T>(messages, part, topic, known, 1)?;
-    match batches.try_next().await.or_fault()? {
-        Some(batch) => Ok(rows::<T>(&batch)?.into_iter().next()),
-        None => Ok(None),
     }
 }

@@ -11,6 +11,7 @@ mod mounts;
 pub(crate) mod robots;
 mod rows;
 mod still;
+pub(crate) mod vehicle;
 
 use std::collections::BTreeMap;
 use std::sync::Arc;

@@ -172,8 +172,8 @@ impl Asked {
     }
 }
 
-/// Whether a topic's messages in a file are of a type that tells of robots.
-fn tells(robots: &Messages, part: &LogPart, topic: &str) -> bool {
+/// Whether a topic's messages in a file are of a type that tells of robots, or of a vehicle.
+pub(super) fn tells(robots: &Messages, part: &LogPart, topic: &str) -> bool {
     part.channels_of(topic).any(|channel| {
         let schema = part.index.schema_of(channel);
         schema.is_some_and(|schema| may_tell(robots, &Topic::new(topic, &schema.name, 0)))

@@ -153,16 +153,38 @@ fn tf(chains: &[(&str, &str)]) -> Vec<u8> {
 
 /// The log's tables, opened with a manifest.
 async fn opened_with(log: &[u8], manifest: &str) -> (SessionContext, Dataset) {
+    let manifest = Manifest::parse(manifest).unwrap();
+    opened_by(log, &manifest).await.unwrap()
+}
+
+async fn opened_by(log: &[u8], manifest: &Manifest) -> Result<(SessionContext, Dataset), Fault> {
     let context = context(2);
     let runtime = context.runtime_env();
     let url = Url::parse("memory://logs").unwrap();
     runtime.register_object_store(&url, in_memory(log).await);
     let paths = ["memory://logs/log.mcap".to_owned()];
+    let dataset = Dataset::open(&runtime, &paths, Some(manifest)).await?;
+    dataset.register(&context)?;
+    Ok((context, dataset))
+}
+
+/// What keeps a log from being opened with a manifest: where it is, what it is, and what to do.
+async fn refused(log: &[u8], manifest: &str) -> [String; 3] {
     let manifest = Manifest::parse(manifest).unwrap();
-    let dataset = Dataset::open(&runtime, &paths, Some(&manifest));
-    let dataset = dataset.await.unwrap();
-    dataset.register(&context).unwrap();
-    (context, dataset)
+    let fault = opened_by(log, &manifest).await.err().unwrap();
+    [fault.place, fault.message, fault.next]
+}
+
+/// A log of `nav_msgs/Odometry`: topics, the frame that their messages are of, and how many there are.
+fn odometry(topics: &[(&str, &str, u32)]) -> Vec<u8> {
+    let fields = br#"{"type": "object", "properties": {"child_frame_id": {"type": "string"}}}"#;
+    let mut records = vec![schema(1, "nav_msgs/Odometry", "jsonschema", fields)];
+    for ((topic, frame, messages), id) in topics.iter().zip(1_u16..) {
+        records.push(channel(id, 1, topic, "json"));
+        let said = serde_json::json!({ "child_frame_id": frame }).to_string();
+        records.extend((0..*messages).map(|number| message(id, number, said.as_bytes())));
+    }
+    file(&records, &[])
 }
 
 /// How far ahead the odometry of a log was, or what keeps it from being read.
@@ -233,6 +255,196 @@ async fn a_session_is_opened_again_with_the_robot_that_was_meant() {
     let plain = file(&[definitions, messages(&[1], 3)], &[]);
     let (_, dataset) = opened_with(&plain, "defaults: {vehicle_frame: chassis}").await;
     assert!(dataset.sessions[0].vehicle.to_manifest().is_empty());
+}
+
+#[tokio::test]
+async fn of_odometry_topics_the_one_of_the_vehicle_is_read() {
+    let log = odometry(&[
+        ("/x/odom", "a/base_link", 9),
+        ("/y/odom", "/b/base_footprint", 5),
+        ("/z/odom", "b/base_link", 3),
+    ]);
+    for (manifest, topic, told) in [
+        ("", "/x/odom", true),
+        ("defaults: {vehicle_frame: base_link}", "/x/odom", true),
+        ("defaults: {vehicle_frame: c_link}", "/x/odom", true),
+        ("defaults: {vehicle_frame: a/base_link}", "/x/odom", false),
+        ("defaults: {vehicle_frame: /b/base_link}", "/z/odom", false),
+        (
+            "defaults: {vehicle_frame: b/base_footprint}",
+            "/y/odom",
+            false,
+        ),
+        ("defaults: {vehicle_frame: b/lidar}", "/y/odom", false),
+    ] {
+        let (_, dataset) = opened_with(&log, manifest).await;
+        let session = &dataset.sessions[0];
+        assert_eq!(session.roles.topics("odometry"), [topic], "{manifest}");
+        assert_eq!(
+            dataset.notes.len(),
+            usize::from(told),
+            "{:?}",
+            dataset.notes
+        );
+        // The same rows are read again by what was chosen.
+        let again = Manifest {
+            roles: session.roles.to_manifest(),
+            defaults: session.vehicle.to_manifest(),
+            ..Manifest::default()
+        };
+        assert_eq!(again.defaults.is_empty(), told, "{manifest}");
+        let (_, again) = opened_by(&log, &again).await.unwrap();
+        assert_eq!(again.sessions[0].roles, session.roles);
+    }
+}
+
+#[tokio::test]
+async fn odometry_of_another_robot_than_the_vehicle_is_refused() {
+    let [one, other] = [("/x/odom", "a/base_link", 9), ("/y/odom", "b/base_link", 3)];
+    let said =
+        "expected odometry of b/base_link, found that of a/base_link on /x/odom, another robot's";
+    let vehicle = "defaults: {vehicle_frame: b/base_link}";
+    let alone = refused(&odometry(&[one]), vehicle).await;
+    let next = "say which one is the vehicle in a session manifest: `defaults: { vehicle_frame: a/base_link }`";
+    assert_eq!(alone, ["session log", said, next]);
+    let both = odometry(&[one, other]);
+    let named = format!("{vehicle}\nroles: {{odometry: /x/odom}}");
+    let next = "give the role odometry the topic /y/odom in a session manifest";
+    assert_eq!(refused(&both, &named).await, ["roles.odometry", said, next]);
+    // Frames without a prefix, and of a part of the robot, are nobody else's.
+    for frame in ["base_link", "a/lidar", "a/arm/tool"] {
+        let manifest = format!("defaults: {{vehicle_frame: {frame}}}");
+        let (_, dataset) = opened_with(&odometry(&[one]), &manifest).await;
+        assert_eq!(dataset.sessions[0].roles.topics("odometry"), ["/x/odom"]);
+        assert!(dataset.sessions[0].vehicle.to_manifest().is_empty());
+    }
+}
+
+/// A log of topics, each with the frames that its messages name, that many times.
+fn named(topics: &[(&str, &str, &str, u32)]) -> Vec<u8> {
+    let text = serde_json::json!({"type": "string"});
+    let mut records = Vec::new();
+    for ((topic, kind, frame, messages), id) in topics.iter().zip(1_u16..) {
+        let fields = serde_json::json!({"type": "object", "properties": {
+            "frame_id": text, "child_frame_id": text,
+        }});
+        let fields = fields.to_string();
+        records.push(schema(id, kind, "jsonschema", fields.as_bytes()));
+        records.push(channel(id, id, topic, "json"));
+        let said = serde_json::json!({"frame_id": frame, "child_frame_id": frame}).to_string();
+        records.extend((0..*messages).map(|number| message(id, number, said.as_bytes())));
+    }
+    file(&records, &[])
+}
+
+const ODOMETRY: &str = "nav_msgs/Odometry";
+const IMAGE: &str = "foxglove.CompressedImage";
+const CALIBRATION: &str = "foxglove.CameraCalibration";
+const TRANSFORM: &str = "foxglove.FrameTransform";
+
+/// Two robots of which the second one speaks more, with cameras of these frames.
+fn robots(cameras: [&'static str; 2], vehicles: [&'static str; 2]) -> Vec<Topics> {
+    vec![
+        ("/r1/cam/calibration", CALIBRATION, cameras[0], 1),
+        ("/r1/cam/image", IMAGE, cameras[0], 2),
+        ("/r1/odom", ODOMETRY, vehicles[0], 2),
+        ("/r2/cam/calibration", CALIBRATION, cameras[1], 1),
+        ("/r2/cam/image", IMAGE, cameras[1], 2),
+        ("/r2/odom", ODOMETRY, vehicles[1], 3),
+    ]
+}
+
+type Topics = (&'static str, &'static str, &'static str, u32);
+
+/// What is read of some roles.
+fn read_of(dataset: &Dataset) -> Vec<String> {
+    let roles = &dataset.sessions[0].roles;
+    let read = ["odometry", "frames", "calibration", "transforms"].map(|role| roles.topics(role));
+    read.concat()
+}
+
+#[tokio::test]
+async fn topics_of_one_robot_are_read_where_frames_of_several_are_called_alike() {
+    let alike = || robots(["cam", "cam"], ["base_link", "base_link"]);
+    let of = |robot: &str| {
+        let names = ["odom", "cam/image", "cam/calibration"];
+        names.map(|name| format!("/{robot}/{name}"))
+    };
+    let mut own = alike();
+    own.push(("/r1/tf_static", TRANSFORM, "cam", 1));
+    let own = named(&own);
+    let (_, dataset) = opened_with(&own, "").await;
+    let first = [&of("r1")[..], &["/r1/tf_static".to_owned()]].concat();
+    assert_eq!(read_of(&dataset), first);
+    let note = "session log: topics of several robots would do: those behind /r1 are read, and none behind /r2; say which one \
+                is the vehicle in a session manifest: `roles: { odometry: /r2/odom }`";
+    assert_eq!(dataset.notes, [note]);
+    // What was chosen is chosen again, and nothing said.
+    let again = Manifest {
+        roles: dataset.sessions[0].roles.to_manifest(),
+        ..Manifest::default()
+    };
+    let (_, again) = opened_by(&own, &again).await.unwrap();
+    assert_eq!(again.sessions[0].roles, dataset.sessions[0].roles);
+    assert!(again.notes.is_empty(), "{:?}", again.notes);
+    for manifest in [
+        "roles: {odometry: /r2/odom}",
+        "roles: {frames: /r2/cam/image}",
+    ] {
+        let (_, dataset) = opened_with(&own, manifest).await;
+        assert_eq!(read_of(&dataset), of("r2"), "{manifest}");
+        assert!(dataset.notes.is_empty(), "{:?}", dataset.notes);
+    }
+    // Transforms that all share do not tell them apart, and cameras of one frame do.
+    let mut shared = alike();
+    shared.push(("/tf_static", TRANSFORM, "cam", 1));
+    let (_, dataset) = opened_with(&named(&shared), "").await;
+    let second = [&of("r2")[..], &["/tf_static".to_owned()]].concat();
+    assert_eq!(read_of(&dataset), second);
+}
+
+#[tokio::test]
+async fn cameras_of_one_vehicle_that_have_odometry_are_all_read() {
+    let mut topics = robots(["front", "rear"], ["base_link", "base_link"]);
+    topics.push(("/tf_static", TRANSFORM, "front", 1));
+    let (_, dataset) = opened_with(&named(&topics), "").await;
+    let frames = dataset.sessions[0].roles.topics("frames");
+    assert_eq!(frames, ["/r1/cam/image", "/r2/cam/image"]);
+}
+
+#[tokio::test]
+async fn the_vehicle_that_is_named_chooses_all_topics_of_its_robot() {
+    let mut topics = robots(["a/cam", "b/cam"], ["a/base_link", "b/base_link"]);
+    topics.push(("/tf_static", TRANSFORM, "a/cam", 1));
+    let log = named(&topics);
+    for (frame, robot) in [("a/base_link", "r1"), ("b/lidar", "r2")] {
+        let manifest = format!("defaults: {{vehicle_frame: {frame}}}");
+        let (_, dataset) = opened_with(&log, &manifest).await;
+        let names = ["odom", "cam/image", "cam/calibration"];
+        let own = names.map(|name| format!("/{robot}/{name}"));
+        let own = [&own[..], &["/tf_static".to_owned()]].concat();
+        assert_eq!(read_of(&dataset), own);
+        assert!(dataset.notes.is_empty(), "{:?}", dataset.notes);
+    }
+    let (_, dataset) = opened_with(&log, "").await;
+    let choice = "vehicle in a session manifest: `defaults: { vehicle_frame: a/base_link }`";
+    assert!(dataset.notes[0].ends_with(choice), "{:?}", dataset.notes);
+    // Their cameras are told apart by their frames, so a manifest may give those of both.
+    let both = "roles: {odometry: /r1/odom, frames: ['/r1/*', '/r2/*']}";
+    let (_, dataset) = opened_with(&log, both).await;
+    assert_eq!(dataset.sessions[0].roles.topics("frames").len(), 2);
+}
+
+#[tokio::test]
+async fn halves_of_two_robots_are_refused() {
+    let log = named(&robots(["cam", "cam"], ["base_link", "base_link"]));
+    let said = "expected topics of one robot, found /r1/cam/image for the role frames, and others behind /r2";
+    let next = "give it topics behind /r2, such as /r2/cam/image, or read all behind /r1: say which one is the vehicle in a \
+                session manifest: `roles: { odometry: /r1/odom }`";
+    for frames in ["/r1/cam/image", "/*/cam/image"] {
+        let manifest = format!("roles: {{odometry: /r2/odom, frames: '{frames}'}}");
+        assert_eq!(refused(&log, &manifest).await, ["roles.frames", said, next]);
+    }
 }
 
 #[tokio::test]

@@ -5,7 +5,8 @@ use std::path::Path;
 
 use datafusion::execution::runtime_env::RuntimeEnv;
 use evermap_contract::Registry;
-use evermap_datasets::{Dataset, Manifest};
+use evermap_datasets::manifest::Vehicle;
+use evermap_datasets::{Dataset, Manifest, Recordings};
 use evermap_engine::preflight::unknown::topics;
 use evermap_engine::prepare::{Prepared, located};
 use evermap_engine::run::Event;
@@ -78,14 +79,24 @@ pub async fn prepare_run(args: &RunArgs, registry: &Registry) -> Result<Prepared
     Ok(prepared?)
 }
 
-/// Opens the sessions, and says on stderr what was chosen for the person.
+/// Opens the sessions, and says on stderr what was chosen for the person. They are read for the vehicle that a plan says, if
+/// any, in place of the manifest's.
 ///
 /// # Errors
 /// As [`Dataset::open`].
-pub async fn open(runtime: &RuntimeEnv, args: &SessionArgs) -> Result<Dataset, Fault> {
+pub async fn open(
+    runtime: &RuntimeEnv,
+    args: &SessionArgs,
+    vehicle: Option<Vehicle>,
+) -> Result<Dataset, Fault> {
     let (manifest, text) = (manifest(args)?, shipped::manifest(args)?);
-    let dataset = Dataset::open(runtime, &args.sessions, manifest.as_ref()).await;
-    let dataset = dataset.map_err(|fault| located(fault, text.as_ref()))?;
+    let placed = |fault| located(fault, text.as_ref());
+    let found = Recordings::find(runtime, &args.sessions, manifest.as_ref()).await;
+    let mut found = found.map_err(placed)?;
+    if let Some(vehicle) = vehicle {
+        found = found.of_vehicle(vehicle);
+    }
+    let dataset = found.open().await.map_err(placed)?;
     dataset
         .notes
         .iter()

@@ -9,6 +9,7 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use datafusion::execution::runtime_env::RuntimeEnv;
 use evermap_contract::Registry;
+use evermap_datasets::manifest::Vehicle;
 use evermap_datasets::{Dataset, Manifest, Reason, Recordings};
 use evermap_language::{Plan, PlanFaults, Source};
 use evermap_schemas::Fault;
@@ -106,16 +107,27 @@ pub async fn check_text(plan: &PlanText, registry: &Registry) -> Result<(), Refu
     Err(all_faults(&sound, registry, &context, faults).await.into())
 }
 
+/// The vehicle that a plan's steps are told, and logs are to be read for; `None` where they are told none, and a manifest
+/// alone may say it.
+///
+/// # Errors
+/// All faults of the plan.
+pub fn vehicle_of(plan: &PlanText, registry: &Registry) -> Result<Option<Vehicle>, Refusal> {
+    let parsed = parse(plan, registry)?;
+    Ok(Vehicles::of_plan(&parsed).first().cloned())
+}
+
 /// Parses and compiles a plan, on the tables of these sessions; none are needed unless the plan reads topics.
 ///
 /// # Errors
-/// All its faults.
+/// All its faults; a user fault where its steps are told vehicles that differ, and rows of these sessions depend on it.
 pub async fn check(
     plan: &PlanText,
     registry: &Registry,
     dataset: &Dataset,
 ) -> Result<(Plan, Program), Refusal> {
     let parsed = parse(plan, registry)?;
+    Vehicles::of_plan(&parsed).agree(dataset)?;
     let program = compiled(&parsed, registry, dataset).await?;
     Ok((parsed, program))
 }

@@ -15,6 +15,26 @@ pub fn split(frame: &str) -> (&str, &str) {
     frame.rsplit_once('/').unwrap_or(("", frame))
 }
 
+/// Letters of a name that a person is told.
+const LETTERS: usize = 120;
+
+/// A frame's name as a person is told it: a forged one may have any length.
+pub fn shown(frame: &str) -> String {
+    frame.chars().take(LETTERS).collect()
+}
+
+/// Whether two frames are of two robots: their prefixes differ, and neither is within the other, as that of an arm is
+/// within its robot's. A frame without a prefix may be of any.
+pub fn are_of_two_robots(one: &str, other: &str) -> bool {
+    let (one, other) = (split(one).0, split(other).0);
+    let is_within = |inner: &str, outer: &str| {
+        let rest = inner.strip_prefix(outer);
+        rest.is_some_and(|rest| rest.is_empty() || rest.starts_with('/'))
+    };
+    let is_known = !one.is_empty() && !other.is_empty();
+    is_known && !is_within(one, other) && !is_within(other, one)
+}
+
 /// The frame that a name means, of those that there are: that of the very name; else, where the name has no prefix, the
 /// only one that is called so behind a prefix. `None` where none is, or several are.
 pub fn meant<'f>(name: &str, frames: impl IntoIterator<Item = &'f str>) -> Option<&'f str> {
@@ -43,6 +63,23 @@ mod tests {
         assert_eq!(split("base_link"), ("", "base_link"));
         assert_eq!(split("/base_link"), ("", "base_link"));
         assert_eq!(split("/fleet/robot1/odom"), ("fleet/robot1", "odom"));
+    }
+
+    #[test]
+    fn frames_of_two_robots_have_prefixes_that_differ() {
+        for (one, other, two) in [
+            ("a/base_link", "b/base_link", true),
+            ("/a/base_link", "b/lidar", true),
+            ("fleet/a/odom", "fleet/b/odom", true),
+            ("a/base_link", "ab/base_link", true),
+            ("a/base_link", "/a/lidar", false),
+            ("a/base_link", "a/arm/tool", false),
+            ("a/base_link", "base_link", false),
+            ("", "a/base_link", false),
+        ] {
+            assert_eq!(are_of_two_robots(one, other), two, "{one} {other}");
+            assert_eq!(are_of_two_robots(other, one), two, "{other} {one}");
+        }
     }
 
     #[test]

@@ -3,7 +3,9 @@
 use std::cmp::Reverse;
 
 use crate::roles::transforms::{self, Transform};
-use crate::roles::{Choice, FromMessage, Message, Messages, Motion, Role, Topic, in_words};
+use crate::roles::{
+    Choice, FromMessage, Message, Messages, Motion, Role, Topic, frame_names, in_words,
+};
 use crate::{Pose, Stamp, record};
 
 record! {
@@ -27,6 +29,15 @@ record! {
     }
 }
 
+record! {
+    /// The vehicle that odometry is of, as a message names it.
+    #[layer("odometry_frames", key(frame))]
+    pub struct OdometryFrame {
+        /// The frame whose pose the message has, without the slash that ROS 1 puts in front; empty where it names none.
+        frame: String,
+    }
+}
+
 const ODOMETRY: &str = "nav_msgs/Odometry";
 const POSES: &[&str] = &[
     "foxglove.PoseInFrame",
@@ -42,10 +53,13 @@ pub const ROLE: Role = Role::of::<OdometryPose>(Messages {
     choose,
     single: true,
     robots: Some(&ROBOTS),
+    vehicle: Some(&VEHICLE),
     ..Messages::of::<OdometryPose>(TYPES)
 });
 
 const ROBOTS: Messages = Messages::of::<Motion>(transforms::TYPES);
+
+const VEHICLE: Messages = Messages::of::<OdometryFrame>(&[ODOMETRY]);
 
 const TYPES: &[&str] = &[
     ODOMETRY,
@@ -135,6 +149,16 @@ impl FromMessage for OdometryPose {
             speed_mps: twist(["linear", "x"]),
             yaw_rate_radps: twist(["angular", "z"]),
         }])
+    }
+}
+
+impl FromMessage for OdometryFrame {
+    const MEMBERS: &'static [&'static str] = &["child_frame_id"];
+
+    fn from_message(message: &Message<'_>) -> Result<Vec<Self>, String> {
+        let child = message.fields.text(&["child_frame_id"]);
+        let frame = frame_names::plain(&child.unwrap_or_default()).to_owned();
+        Ok(vec![Self { frame }])
     }
 }
 

@@ -1,10 +1,15 @@
 //! Robots that share a log: whose odometry is among its transforms, and whose is meant.
 
+mod namespaces;
+
 use std::collections::{BTreeMap, BTreeSet};
 
+use crate::roles::frame_names::{self, shown};
 use crate::roles::transforms::{self, Transform};
-use crate::roles::{FromMessage, Message, frame_names};
+use crate::roles::{FromMessage, Message};
 use crate::{Fault, record};
+
+pub use namespaces::{Namespaces, Stray, told_name};
 
 record! {
     /// A frame in another, as a message of transforms says: it may be that a robot's odometry moves it.
@@ -89,9 +94,8 @@ impl OdometryOf {
 const MOST: usize = 1000;
 const LONGEST: usize = 1000;
 
-/// Robots, or transforms, that a person is told, and letters of each.
+/// Robots, or transforms, that a person is told.
 const TOLD: usize = 8;
-const LETTERS: usize = 120;
 
 /// The robots whose odometry is among some transforms.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
@@ -269,10 +273,6 @@ fn told(words: impl Iterator<Item = String>, all: usize) -> String {
         0 => words,
         more => format!("{words} and {more} more"),
     }
-}
-
-fn shown(frame: &str) -> String {
-    frame.chars().take(LETTERS).collect()
 }
 
 #[cfg(test)]

@@ -55,6 +55,9 @@ pub struct Messages {
     /// Where rows of topics that may move are of what never does in a session: how messages become
     /// [`SentTransform`](super::SentTransform)s, which tell.
     pub still: Option<&'static Messages>,
+    /// Where messages may name the vehicle that all of their topic are of: how they become
+    /// [`OdometryFrame`](super::OdometryFrame)s.
+    pub vehicle: Option<&'static Messages>,
     /// The frames that a message says are fixed, which the others of its session must not contradict.
     pub mounts: Option<fn(&Message<'_>) -> Vec<Mount>>,
     /// From messages to rows.
@@ -76,6 +79,7 @@ impl Messages {
             shared: false,
             robots: None,
             still: None,
+            vehicle: None,
             mounts: None,
             read: crate::roles::message::read::<T>,
         }

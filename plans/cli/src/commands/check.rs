@@ -95,7 +95,8 @@ async fn checked(
 ) -> Result<(Plan, Program, Dataset), Failure> {
     let plan = shipped::of(args)?;
     prepare::check_text(&plan, registry).await?;
-    let dataset = open(&RuntimeEnv::default(), &args.sessions).await?;
+    let vehicle = prepare::vehicle_of(&plan, registry)?;
+    let dataset = open(&RuntimeEnv::default(), &args.sessions, vehicle).await?;
     let (parsed, program) = prepare::check(&plan, registry, &dataset).await?;
     Ok((parsed, program, dataset))
 }

@@ -92,7 +92,7 @@ impl Tables {
 
     /// Puts the logs of sessions beside a map, each as a schema of its session's name.
     async fn add_logs(&mut self, sessions: &SessionArgs) -> Result<(), Fault> {
-        let dataset = sessions::open(&self.context.runtime_env(), sessions).await?;
+        let dataset = sessions::open(&self.context.runtime_env(), sessions, None).await?;
         dataset.register_stores(&self.context.runtime_env());
         let catalog = catalog(&self.context)?;
         for session in &dataset.sessions {
@@ -135,7 +135,7 @@ impl Tables {
     pub async fn of_logs(sessions: &SessionArgs, limits: Limits) -> Result<Self, Fault> {
         let context = context(limits)?;
         in_utc(&context);
-        let dataset = sessions::open(&context.runtime_env(), sessions).await?;
+        let dataset = sessions::open(&context.runtime_env(), sessions, None).await?;
         dataset.register(&context)?;
         add_hidden_topics(&context, &dataset)?;
         Ok(Self {

@@ -41,7 +41,7 @@ impl Vehicles {
         let session = sessions.find(|session| depends(&session.vehicle));
         match (session, self.0.as_slice()) {
             (Some(session), [(first, one), (second, other), ..]) => Err(Fault::user(format!(
-                "expected one {} in all steps, as the odometry of session {} is found among transforms by it, found {} \
+                "expected one {} in all steps, as the odometry of session {} is found by it, found {} \
                  (step {one}) and {} (step {other})",
                 Vehicle::PARAMETER,
                 session.name,
