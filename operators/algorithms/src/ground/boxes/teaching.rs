@@ -166,11 +166,15 @@ impl Taught {
         let known = Known::new(examples);
         let headings = Headings::learn(examples, lanes);
         let found = mosaic.parts().into_iter().flat_map(|part| {
-            let is_asked =
-                |place: &GroundBox| mosaic.part(place.centre) == part && headings.allow(place);
+            let is_here = |place: &GroundBox| mosaic.part(place.centre) == part;
             let gradients = mosaic.gradients(part, reach_of(&self.sizes_m));
             let corners = mosaic.corners(part);
-            self.find_in(&gradients, corners, is_asked, &known, room as usize)
+            let weights = self.process.weights();
+            let (sizes_m, most) = (&self.sizes_m, room as usize);
+            let found = scan(
+                &gradients, corners, weights, sizes_m, &headings, is_here, most,
+            );
+            self.described(&gradients, found, &known)
         });
         let scored = |one: &Described| one.scored;
         Candidates(apart(found.collect(), room as usize, scored))
@@ -211,17 +215,13 @@ impl Taught {
         hypotheses
     }
 
-    /// Those in a part of the image that are asked for.
-    fn find_in(
+    /// Those of which nothing was said, laid on the template.
+    fn described(
         &self,
         gradients: &Gradients,
-        corners: [[f64; 2]; 2],
-        is_asked: impl Fn(&GroundBox) -> bool + Sync,
+        found: Vec<Scored>,
         known: &Known,
-        most: usize,
     ) -> Vec<Described> {
-        let weights = self.process.weights();
-        let found = scan(gradients, corners, weights, &self.sizes_m, is_asked, most);
         let open = found
             .into_iter()
             .filter(|one| known.leaves_open(&one.place));
