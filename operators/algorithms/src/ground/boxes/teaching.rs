@@ -18,7 +18,7 @@ use super::GroundBox;
 use super::box_index::BoxIndex;
 use super::description::{LENGTH, describe};
 use super::headings::Headings;
-use super::lesson::{Lesson, reach_of};
+use super::lesson::{Lesson, is_looked_at, reach_of};
 use super::mosaic::Mosaic;
 use super::overhead::Gradients;
 use super::rows::LaneLine;
@@ -145,6 +145,12 @@ impl Taught {
             rejected: lesson.count(false),
             template: lesson.template,
         }))
+    }
+
+    /// Which tiles [`Taught::learn`] reads of an image that counts its parts from all of them ([`Mosaic::count_from`]), whether
+    /// it has them yet or not.
+    pub fn reads(mosaic: &Mosaic, examples: &[Example]) -> impl Fn([i64; 2]) -> bool + use<> {
+        is_looked_at(mosaic, examples)
     }
 
     /// Whether it knows as many numbers as a description has.
