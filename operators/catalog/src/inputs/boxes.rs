@@ -7,7 +7,7 @@ use evermap_algorithms::ground::boxes::box_index::BoxIndex;
 use evermap_algorithms::ground::boxes::mosaic::{LONGEST_CELLS, Mosaic};
 use evermap_algorithms::ground::boxes::picture::Picture;
 use evermap_algorithms::ground::boxes::rows::LaneLine;
-use evermap_algorithms::ground::boxes::teaching::{Example, Said};
+use evermap_algorithms::ground::boxes::teaching::{Example, Said, Taught};
 use evermap_contract::{Fault, Reason};
 use evermap_schemas::layers::{Lane, OverheadGradients, OverheadTile, PlacedLabel};
 use evermap_schemas::{Bytes, Pose};
@@ -71,7 +71,6 @@ pub fn tile_gradients(
         return Ok((Vec::new(), 0));
     };
     let picture = picture(tiles, skip);
-    let key = |row: &OverheadGradients| [row.tile_x, row.tile_y].map(i64::from);
     let known = known.into_iter().map(|row| (key(&row), row));
     let mut known: BTreeMap<[i64; 2], OverheadGradients> = known.collect();
     let is_known = |tile: [i64; 2], content: &str| {
@@ -100,13 +99,52 @@ pub fn tile_gradients(
 
 /// The gradients of a site.
 pub fn mosaic(tiles: Vec<OverheadGradients>, skip: &mut impl FnMut(Reason, u64)) -> Mosaic {
-    let Some(cell_m) = cell_of(tiles.iter().map(|tile| tile.cell_m), skip) else {
+    match counted(&tiles, skip) {
+        Some(counted) => filled(counted, tiles, skip),
+        None => Mosaic::new(1.0),
+    }
+}
+
+/// Of the gradients of a site those that its labels are learnt from; others are not read.
+pub(crate) fn taught_mosaic(
+    mut tiles: Vec<OverheadGradients>,
+    labels: &[PlacedLabel],
+    skip: &mut impl FnMut(Reason, u64),
+) -> Mosaic {
+    let Some(counted) = counted(&tiles, skip) else {
         return Mosaic::new(1.0);
     };
+    let kinds = boxes(labels, counted.cell_m(), &mut |_, _| {}).into_values();
+    let read = kinds.map(|kind| Taught::reads(&counted, &kind.examples));
+    let read: Vec<_> = read.collect();
+    tiles.retain(|tile| read.iter().any(|is_read| is_read(key(tile))));
+    filled(counted, tiles, skip)
+}
+
+/// Column and row of a tile of gradients.
+fn key(tile: &OverheadGradients) -> [i64; 2] {
+    [tile.tile_x, tile.tile_y].map(i64::from)
+}
+
+/// An image that counts its parts from all tiles, without them; `None`, and they are counted, where they have no cell size.
+fn counted(tiles: &[OverheadGradients], skip: &mut impl FnMut(Reason, u64)) -> Option<Mosaic> {
+    let cell_m = cell_of(tiles.iter().map(|tile| tile.cell_m), skip)?;
     let mut mosaic = Mosaic::new(cell_m);
+    let fitting = tiles.iter().filter(|tile| tile.cell_m == cell_m);
+    fitting.for_each(|tile| mosaic.count_from(key(tile)));
+    Some(mosaic)
+}
+
+/// An image with these tiles.
+fn filled(
+    mut mosaic: Mosaic,
+    tiles: Vec<OverheadGradients>,
+    skip: &mut impl FnMut(Reason, u64),
+) -> Mosaic {
+    let cell_m = mosaic.cell_m();
     let read = tiles.into_par_iter().map(|tile| {
         let cells = gradient_cells(&tile.png.0).filter(|_| tile.cell_m == cell_m);
-        ([tile.tile_x, tile.tile_y].map(i64::from), cells)
+        (key(&tile), cells)
     });
     for (at, cells) in read.collect::<Vec<_>>() {
         if !cells.is_some_and(|cells| mosaic.add(at, cells)) {

@@ -5,7 +5,7 @@ use evermap_algorithms::ground::boxes::teaching::{Taught, TeachingParams};
 use evermap_contract::{Emit, Fault, Key, Operator, Port, Sides, Work};
 use evermap_schemas::layers::{BoxModel, OverheadGradients, PlacedLabel};
 
-use crate::inputs::boxes::{boxes, mosaic};
+use crate::inputs::boxes::{boxes, taught_mosaic};
 use crate::inputs::labels::Tell;
 
 /// See the module's page.
@@ -32,7 +32,7 @@ fn models(
     emit: &mut Emit<'_>,
 ) -> Result<(), Fault> {
     let mut skip = |reason, count| emit.skip(reason, count);
-    let mosaic = mosaic(sides.take("gradients")?, &mut skip);
+    let mosaic = taught_mosaic(sides.take("gradients")?, &labels, &mut skip);
     let models = learnt(params, &mosaic, &labels, &mut skip)?;
     emit.rows(models)
 }

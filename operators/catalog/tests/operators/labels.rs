@@ -342,17 +342,26 @@ fn of_spaces_that_were_drawn_on_one_place_the_one_said_last_holds() {
 
 /// What `box_models` counts of labels on an image that shows nothing, with cells of this side (m).
 fn not_learnt(labels: Vec<PlacedLabel>, cell_m: f64) -> BTreeMap<String, u64> {
-    let tile = OverheadGradients {
+    not_learnt_of(labels, vec![unreadable(0, cell_m)])
+}
+
+/// A tile so many east of the map's origin that does not read, with cells of this side (m).
+fn unreadable(tile_x: i32, cell_m: f64) -> OverheadGradients {
+    OverheadGradients {
         site: "lot".into(),
-        tile_x: 0,
+        tile_x,
         tile_y: 0,
         cell_m,
         content: String::new(),
         png: Bytes(vec![]),
-    };
+    }
+}
+
+/// What `box_models` counts of labels on an image of which no tile reads.
+fn not_learnt_of(labels: Vec<PlacedLabel>, tiles: Vec<OverheadGradients>) -> BTreeMap<String, u64> {
     let inputs = [
         inputs_of("labels", labels).unwrap(),
-        inputs_of("gradients", vec![tile]).unwrap(),
+        inputs_of("gradients", tiles).unwrap(),
     ];
     let (models, losses) = yields::<BoxModel>("box_models", json!({}), inputs);
     assert!(models.is_empty());
@@ -380,6 +389,18 @@ fn boxes_of_more_cells_than_are_looked_at_at_a_time_are_counted() {
         let counted = not_learnt(labels.clone(), cell_m);
         assert_eq!(counted.get(too_long).copied(), expected, "{cell_m}");
     }
+}
+
+#[test]
+fn of_the_overhead_image_only_what_labels_are_learnt_from_is_read() {
+    let map = Version::of(drive("a", [0.0, 0.0]), vec![]);
+    let said = vec![drawn("one", 7.0, 3.0)];
+    let (held, _) = anchors(said, &map, &Version::default(), vec![]);
+    let (labels, _) = placed(held, &map);
+    // Parts have eight tiles in a row, of 12.8 m, and the next one is looked at, too.
+    let tiles = [0, 7, 8, 9, 100].map(|tile_x| unreadable(tile_x, CELL_M));
+    let counted = not_learnt_of(labels, tiles.to_vec());
+    assert_eq!(counted["tile is not as overhead_gradients makes them"], 3);
 }
 
 /// A post that was taken for a person is rejected in two images: neither of them is a box on the floor.

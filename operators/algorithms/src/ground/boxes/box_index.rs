@@ -44,7 +44,10 @@ impl BoxIndex {
     }
 
     /// All boxes that may overlap this one or touch it, and some others: which one it was that was added, and the box.
-    fn numbered_near(&self, place: &GroundBox) -> impl Iterator<Item = &(usize, GroundBox)> {
+    pub(super) fn numbered_near(
+        &self,
+        place: &GroundBox,
+    ) -> impl Iterator<Item = &(usize, GroundBox)> {
         let [x, y] = self.square(place);
         let reach_m = 0.5 * (self.side_m + place.length_m.hypot(place.width_m));
         let reach = (reach_m / self.side_m).ceil() as i64;

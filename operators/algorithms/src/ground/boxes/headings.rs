@@ -7,11 +7,43 @@ use super::GroundBox;
 use super::box_index::BoxIndex;
 use super::rows::{ENTERED_WITHIN_M, LaneLine};
 use super::teaching::Example;
+use super::turned::{HEADINGS, yaw};
 
 /// Angles that differ by less are one (rad): two headings of the search, and what a lane bends by beside a row that does not.
 const ALIKE: f64 = 0.3;
 /// Lanes are taken for straight over so much (m): their points are nearer to each other, and scatter.
 const STRAIGHT_M: f64 = 2.0;
+/// Angles of a box and of the same turned round differ by less (rad): they are rounded.
+const ROUNDED: f64 = 1e-9;
+
+/// Headings of the search, a bit each.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) struct HeadingSet(u32);
+
+const _: () = assert!(HEADINGS <= u32::BITS as usize);
+
+impl HeadingSet {
+    const NONE: Self = Self(0);
+    /// All of them.
+    pub(super) const ALL: Self = Self(u32::MAX);
+
+    /// Those that are so.
+    fn of(is_so: impl Fn(usize) -> bool) -> Self {
+        let headings = (0..HEADINGS).filter(|heading| is_so(*heading));
+        headings.fold(Self::NONE, |all, heading| all.with(Self(1 << heading)))
+    }
+
+    /// Those of both.
+    fn with(self, other: Self) -> Self {
+        Self(self.0 | other.0)
+    }
+
+    /// Whether one is among them.
+    #[inline(always)]
+    pub(super) fn has(self, heading: usize) -> bool {
+        (self.0 >> heading) & 1 == 1
+    }
+}
 
 /// The angles at which boxes of a kind lie to lanes.
 pub(super) struct Headings {
@@ -19,13 +51,15 @@ pub(super) struct Headings {
     angles: Vec<f64>,
     /// Straight pieces of lanes, with as much around them as a lane is from its boxes.
     pieces: BoxIndex,
+    /// By piece: the headings at which a box lies to it as others do.
+    fitting: Vec<HeadingSet>,
 }
 
 impl Headings {
     /// Those of the boxes of the kind that have a lane near, each to its nearest one.
     pub(super) fn learn(examples: &[Example], lanes: &[LaneLine]) -> Self {
-        let pieces: Vec<GroundBox> = lanes.iter().flat_map(pieces).collect();
-        let pieces = BoxIndex::of(&pieces);
+        let lines: Vec<GroundBox> = lanes.iter().flat_map(pieces).collect();
+        let pieces = BoxIndex::of(&lines);
         let ones = examples.iter().filter(|one| one.is_one());
         let angles = ones.filter_map(|one| {
             let near = pieces.near(&one.place);
@@ -34,9 +68,48 @@ impl Headings {
             let (_, nearest) = near.min_by(|(a, _), (b, _)| a.total_cmp(b))?;
             Some(between(one.place.yaw, nearest.yaw))
         });
+        let angles: Vec<f64> = angles.collect();
+        let fitting = lines.iter().map(|piece| {
+            HeadingSet::of(|heading| {
+                is_known(&angles, between(yaw(heading), piece.yaw), ALIKE + ROUNDED)
+            })
+        });
         Self {
-            angles: angles.collect(),
+            fitting: fitting.collect(),
+            angles,
             pieces,
+        }
+    }
+
+    /// The headings at which a box of the kind may be allowed whose middle is no farther than this (m) from a point, and maybe
+    /// some others.
+    pub(super) fn about(&self, point: [f64; 2], within_m: f64) -> HeadingSet {
+        if self.angles.is_empty() {
+            return HeadingSet::ALL;
+        }
+        let around = GroundBox {
+            centre: point,
+            yaw: 0.0,
+            length_m: 2.0 * within_m,
+            width_m: 2.0 * within_m,
+        };
+        let (mut allowed, mut is_beside) = (HeadingSet::NONE, false);
+        for (number, piece) in self.pieces.numbered_near(&around) {
+            let [x, y] = [0, 1].map(|axis| piece.centre[axis] - point[axis]);
+            let reach_m = 0.5 * piece.length_m + within_m;
+            if x * x + y * y > reach_m * reach_m {
+                continue;
+            }
+            let away_m = away_m(piece, &around);
+            if away_m <= ENTERED_WITHIN_M + within_m {
+                allowed = allowed.with(self.fitting[*number]);
+            }
+            is_beside |= away_m <= ENTERED_WITHIN_M - within_m;
+        }
+        match is_beside {
+            true => allowed,
+            // Somewhere there may be no lane near.
+            false => HeadingSet::ALL,
         }
     }
 
@@ -47,16 +120,19 @@ impl Headings {
         }
         let near = self.pieces.near(place);
         let mut near = near.filter(|piece| away_m(piece, place) <= ENTERED_WITHIN_M);
-        let lies_so = |piece: &GroundBox| {
-            let angle = between(place.yaw, piece.yaw);
-            let mut known = self.angles.iter();
-            known.any(|known| (known - angle).abs() < ALIKE)
-        };
+        let lies_so =
+            |piece: &GroundBox| is_known(&self.angles, between(place.yaw, piece.yaw), ALIKE);
         match near.next() {
             Some(first) => lies_so(first) || near.any(lies_so),
             None => true,
         }
     }
+}
+
+/// Whether an angle differs by less than this from one that is known (rad).
+fn is_known(known: &[f64], angle: f64, by_less_than: f64) -> bool {
+    let mut known = known.iter();
+    known.any(|known| (known - angle).abs() < by_less_than)
 }
 
 /// The angle between two lines, at most a quarter turn (rad).

@@ -47,6 +47,39 @@ struct Seen {
     layout: Option<Vec<[f32; 2]>>,
 }
 
+/// How far beyond a part is looked to learn from examples in it (m): boxes beside one begin a width away from it at most.
+fn looked_at_m(examples: &[Example]) -> f64 {
+    let sizes = examples.iter().map(|one| &one.place);
+    let sizes = sizes.map(|place| [place.length_m, place.width_m]);
+    2.0 * reach_of(&sizes.collect::<Vec<[f64; 2]>>())
+}
+
+/// Examples by the part that they lie in, each with its place among all.
+fn by_part(mosaic: &Mosaic, examples: &[Example]) -> BTreeMap<Part, Vec<(usize, Example)>> {
+    let mut parts: BTreeMap<Part, Vec<(usize, Example)>> = BTreeMap::new();
+    for (at, example) in examples.iter().enumerate() {
+        let part = parts.entry(mosaic.part(example.place.centre)).or_default();
+        part.push((at, *example));
+    }
+    parts
+}
+
+/// Whether a tile is of those that examples are learnt from, on an image whose parts are counted.
+pub(super) fn is_looked_at(
+    mosaic: &Mosaic,
+    examples: &[Example],
+) -> impl Fn([i64; 2]) -> bool + use<> {
+    let reach_m = looked_at_m(examples);
+    let parts = by_part(mosaic, examples).into_keys();
+    let spans: Vec<[[i64; 2]; 2]> = parts.map(|part| mosaic.span(part, reach_m)).collect();
+    move |tile| {
+        let is_in = |[first, last]: &[[i64; 2]; 2]| {
+            (0..2).all(|axis| (first[axis]..last[axis]).contains(&tile[axis]))
+        };
+        spans.iter().any(is_in)
+    }
+}
+
 /// What the image shows in the examples, in their order, and in random boxes near them.
 fn described(mosaic: &Mosaic, examples: &[Example], params: &TeachingParams) -> Vec<Seen> {
     let ones: Vec<GroundBox> = examples
@@ -55,17 +88,8 @@ fn described(mosaic: &Mosaic, examples: &[Example], params: &TeachingParams) -> 
         .map(|one| one.place)
         .collect();
     let index = BoxIndex::of(&ones);
-    let sizes: Vec<[f64; 2]> = examples
-        .iter()
-        .map(|one| [one.place.length_m, one.place.width_m])
-        .collect();
-    // Boxes beside one begin a width away from it at most.
-    let reach_m = 2.0 * reach_of(&sizes);
-    let mut parts: BTreeMap<Part, Vec<(usize, Example)>> = BTreeMap::new();
-    for (at, example) in examples.iter().enumerate() {
-        let part = parts.entry(mosaic.part(example.place.centre)).or_default();
-        part.push((at, *example));
-    }
+    let reach_m = looked_at_m(examples);
+    let parts = by_part(mosaic, examples);
     let random = params.random_boxes.div_ceil(parts.len().max(1));
     let mut seen: Vec<(usize, Seen)> = Vec::new();
     for (part, examples) in parts {

@@ -8,6 +8,7 @@
 //! | [`description`] | what is in a box: histograms of gradients by cell |
 //! | [`box_index`] | which boxes are near one |
 //! | [`scan`] | the places of an image where a description fits |
+//! | `searched` | where boxes are searched for, and at which headings |
 //! | `turned` | the image turned to a heading, and how well a description fits everywhere in it |
 //! | `lesson` | what there is to learn from |
 //! | [`template`] | where exactly a box lies |
@@ -29,6 +30,7 @@ pub mod overhead;
 pub mod picture;
 pub mod rows;
 pub mod scan;
+mod searched;
 pub mod teaching;
 pub mod template;
 mod turned;

@@ -49,10 +49,15 @@ impl Mosaic {
     pub fn add(&mut self, tile: [i64; 2], cells: Vec<GradientCell>) -> bool {
         let is_whole = cells.len() == TILE_CELLS * TILE_CELLS;
         if is_whole {
-            self.first = [0, 1].map(|axis| self.first[axis].min(tile[axis]));
+            self.count_from(tile);
             self.tiles.insert(tile, cells);
         }
         is_whole
+    }
+
+    /// Counts parts as if it had a tile, which need not be added: one that nothing is read of.
+    pub fn count_from(&mut self, tile: [i64; 2]) {
+        self.first = [0, 1].map(|axis| self.first[axis].min(tile[axis]));
     }
 
     /// The parts that have tiles, in order.
@@ -90,16 +95,23 @@ impl Mosaic {
     /// Gradients of a part, and beyond its borders as far as boxes that reach this far (m) from a point in it need them, at
     /// most as those with sides of [`LONGEST_CELLS`] do.
     pub fn gradients(&self, part: Part, reach_m: f64) -> Gradients {
+        let [first, last] = self.span(part, reach_m);
+        let columns = self.tiles.range([first[0], i64::MIN]..[last[0], i64::MIN]);
+        let near = columns.filter(|([_, row], _)| (first[1]..last[1]).contains(row));
+        self.joined(&near.collect::<Vec<_>>())
+    }
+
+    /// The first column and row of tiles that gradients of a part are of, and those behind the last ones.
+    pub(super) fn span(&self, part: Part, reach_m: f64) -> [[i64; 2]; 2] {
         let beyond = ((reach_m / self.tile_m()).ceil() as i64).clamp(0, MOST_BEYOND);
         let at = |axis: usize| {
             let along = part.0[axis].saturating_mul(PART_TILES);
             self.first[axis].saturating_add(along)
         };
-        let first = [0, 1].map(|axis| at(axis).saturating_sub(beyond));
-        let last = [0, 1].map(|axis| at(axis).saturating_add(PART_TILES + beyond));
-        let columns = self.tiles.range([first[0], i64::MIN]..[last[0], i64::MIN]);
-        let near = columns.filter(|([_, row], _)| (first[1]..last[1]).contains(row));
-        self.joined(&near.collect::<Vec<_>>())
+        [
+            [0, 1].map(|axis| at(axis).saturating_sub(beyond)),
+            [0, 1].map(|axis| at(axis).saturating_add(PART_TILES + beyond)),
+        ]
     }
 
     fn tile_m(&self) -> f64 {

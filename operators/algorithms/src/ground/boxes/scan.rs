@@ -10,8 +10,10 @@ use rayon::prelude::*;
 use super::GroundBox;
 use super::box_index::BoxIndex;
 use super::description::describe;
+use super::headings::Headings;
 use super::overhead::Gradients;
-use super::turned::{HEADINGS, SAMPLES, Turned};
+use super::searched::Searched;
+use super::turned::{HEADINGS, SAMPLES, Turned, yaw};
 
 /// Boxes that overlap by more than this are one; neighbours in a row do not overlap at all.
 pub(super) const SAME: f64 = 0.2;
@@ -25,24 +27,28 @@ pub struct Scored {
     pub score: f64,
 }
 
-/// The boxes of these lengths and widths whose score is highest among those that overlap, of those that are `asked` for, all
-/// between two corners (south-west and north-east, m): the best first, `most` of them at most. `weights` are those of
-/// [`describe`]'s numbers.
-pub fn scan(
+/// The boxes of these lengths and widths whose score is highest among those that overlap, of those that are `asked` for and lie
+/// as `headings` allow, all between two corners (south-west and north-east, m): the best first, `most` of them at most.
+/// `weights` are those of [`describe`]'s numbers.
+pub(super) fn scan(
     gradients: &Gradients,
     corners: [[f64; 2]; 2],
     weights: &[f64],
     sizes_m: &[[f64; 2]],
+    headings: &Headings,
     asked: impl Fn(&GroundBox) -> bool + Sync,
     most: usize,
 ) -> Vec<Scored> {
-    let headings = sizes_m
-        .iter()
-        .flat_map(|size| (0..HEADINGS).map(move |heading| (*size, heading)));
-    let headings: Vec<([f64; 2], usize)> = headings.collect();
-    let found = headings.into_par_iter().flat_map_iter(|(size, heading)| {
-        let mut found = Turned::new(gradients, corners, size, heading).fitting(weights);
-        found.retain(|one| asked(&one.place));
+    let searched = Searched::new(gradients, corners, headings);
+    let turned = sizes_m.iter().flat_map(|size_m| {
+        let searched = &searched;
+        let turned = move |heading| Turned::new(gradients, searched, *size_m, heading);
+        (0..HEADINGS).filter_map(turned)
+    });
+    let turned: Vec<Turned<'_>> = turned.collect();
+    let found = turned.into_par_iter().flat_map_iter(|turned| {
+        let mut found = turned.fitting(weights);
+        found.retain(|one| asked(&one.place) && headings.allow(&one.place));
         found
     });
     let apart = apart(found.collect(), most, |one| *one);
@@ -78,7 +84,7 @@ pub fn apart<T>(mut found: Vec<T>, most: usize, scored: impl Fn(&T) -> Scored) -
 /// The place where a description fits best near one where it fits.
 fn refined(gradients: &Gradients, weights: &[f64], from: Scored) -> Scored {
     let step_m = from.place.width_m / SAMPLES;
-    let turn = 0.5 * std::f64::consts::PI / HEADINGS as f64;
+    let turn = 0.5 * yaw(1);
     best_near(from.place, step_m, turn, 2, |place| {
         scored(gradients, weights, place)
     })

@@ -18,7 +18,7 @@ use super::GroundBox;
 use super::box_index::BoxIndex;
 use super::description::{LENGTH, describe};
 use super::headings::Headings;
-use super::lesson::{Lesson, reach_of};
+use super::lesson::{Lesson, is_looked_at, reach_of};
 use super::mosaic::Mosaic;
 use super::overhead::Gradients;
 use super::rows::LaneLine;
@@ -147,6 +147,12 @@ impl Taught {
         }))
     }
 
+    /// Which tiles [`Taught::learn`] reads of an image that counts its parts from all of them ([`Mosaic::count_from`]), whether
+    /// it has them yet or not.
+    pub fn reads(mosaic: &Mosaic, examples: &[Example]) -> impl Fn([i64; 2]) -> bool + use<> {
+        is_looked_at(mosaic, examples)
+    }
+
     /// Whether it knows as many numbers as a description has.
     pub fn is_sound(&self) -> bool {
         self.process.weights().len() == LENGTH
@@ -166,11 +172,15 @@ impl Taught {
         let known = Known::new(examples);
         let headings = Headings::learn(examples, lanes);
         let found = mosaic.parts().into_iter().flat_map(|part| {
-            let is_asked =
-                |place: &GroundBox| mosaic.part(place.centre) == part && headings.allow(place);
+            let is_here = |place: &GroundBox| mosaic.part(place.centre) == part;
             let gradients = mosaic.gradients(part, reach_of(&self.sizes_m));
             let corners = mosaic.corners(part);
-            self.find_in(&gradients, corners, is_asked, &known, room as usize)
+            let weights = self.process.weights();
+            let (sizes_m, most) = (&self.sizes_m, room as usize);
+            let found = scan(
+                &gradients, corners, weights, sizes_m, &headings, is_here, most,
+            );
+            self.described(&gradients, found, &known)
         });
         let scored = |one: &Described| one.scored;
         Candidates(apart(found.collect(), room as usize, scored))
@@ -211,17 +221,13 @@ impl Taught {
         hypotheses
     }
 
-    /// Those in a part of the image that are asked for.
-    fn find_in(
+    /// Those of which nothing was said, laid on the template.
+    fn described(
         &self,
         gradients: &Gradients,
-        corners: [[f64; 2]; 2],
-        is_asked: impl Fn(&GroundBox) -> bool + Sync,
+        found: Vec<Scored>,
         known: &Known,
-        most: usize,
     ) -> Vec<Described> {
-        let weights = self.process.weights();
-        let found = scan(gradients, corners, weights, &self.sizes_m, is_asked, most);
         let open = found
             .into_iter()
             .filter(|one| known.leaves_open(&one.place));

@@ -473,6 +473,59 @@ fn parts_of_a_floor_teach_no_random_box_twice() {
 }
 
 #[test]
+fn what_is_learnt_is_the_same_of_the_tiles_that_are_read_alone() {
+    let mut random = SplitMix64(11);
+    let mut cell = |_| [0, 1].map(|_| (255.0 * random.unit()) as u8);
+    let tiles: Vec<([i64; 2], Vec<[u8; 2]>)> = (-3..17)
+        .map(|x| {
+            let cells = (0..TILE_CELLS * TILE_CELLS).map(&mut cell);
+            ([x, 2], cells.collect())
+        })
+        .collect();
+    let tile_m = CELL_M * TILE_CELLS as f64;
+    // On both sides of a border of parts, and in the middle of the second one.
+    let examples = [
+        (4.9, Said::Drawn),
+        (5.1, Said::Rejected),
+        (8.5, Said::Drawn),
+    ];
+    let examples = examples.map(|(tiles_east, said)| Example {
+        place: GroundBox {
+            centre: [tiles_east * tile_m, 2.5 * tile_m],
+            yaw: 0.4,
+            length_m: 5.0,
+            width_m: 2.4,
+        },
+        said,
+    });
+    let mut counted = Mosaic::new(CELL_M);
+    tiles.iter().for_each(|(tile, _)| counted.count_from(*tile));
+    for (examples, expected) in [
+        (&examples[..], -3..14),
+        (&examples[..1], -3..6),
+        (&examples[1..], 4..14),
+        (&examples[..0], 0..0),
+    ] {
+        let (mut whole, mut some) = (counted.clone(), counted.clone());
+        let is_read = Taught::reads(&counted, examples);
+        let mut read = Vec::new();
+        for (tile, cells) in &tiles {
+            assert!(whole.add(*tile, cells.clone()));
+            if is_read(*tile) {
+                assert!(some.add(*tile, cells.clone()));
+                read.push(tile[0]);
+            }
+        }
+        assert_eq!(read, expected.collect::<Vec<i64>>());
+        let learnt = |mosaic: &Mosaic| {
+            let learnt = Taught::learn(mosaic, examples, &TeachingParams::default());
+            learnt.unwrap()
+        };
+        assert_eq!(learnt(&some), learnt(&whole));
+    }
+}
+
+#[test]
 fn what_is_looked_at_at_a_time_is_bounded_whatever_cells_claim_to_measure() {
     let mut mosaic = Mosaic::new(1e-6);
     for tile in [[0, 0], [15, 15], [16, 0], [0, -9], [i64::from(i32::MAX), 7]] {

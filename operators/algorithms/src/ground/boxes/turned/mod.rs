@@ -14,6 +14,7 @@ use super::GroundBox;
 use super::description::{ACROSS, ALONG, BINS, LEAST_SEEN, LENGTH, norm, reach_m};
 use super::overhead::Gradients;
 use super::scan::Scored;
+use super::searched::Searched;
 use crate::processor::vectorised;
 
 /// Headings over half a turn: at 7.5 degrees a box 5 m long is off by 16 cm at its ends at most, a third of a cell.
@@ -25,29 +26,36 @@ const STRIDE: usize = 2;
 /// Places that are scored together: what is known of them stays in the processor's registers.
 const TOGETHER: usize = 4;
 
+/// How a heading lies to the map's x axis (rad, anticlockwise).
+pub(super) fn yaw(heading: usize) -> f64 {
+    std::f64::consts::PI * heading as f64 / HEADINGS as f64
+}
+
 /// The image turned to a heading: its places are so many steps from one another, along a box and across it.
 pub(super) struct Turned<'a> {
     gradients: &'a Gradients,
     heading: usize,
     /// The box about the image's middle.
     middle: GroundBox,
-    /// Where places are searched: the south-western and the north-eastern corner (m).
-    searched: [[f64; 2]; 2],
+    /// Where boxes are searched for.
+    searched: &'a Searched,
+    /// All places where they are at this heading: the south-western and the north-eastern corner (m).
+    corners: [[f64; 2]; 2],
     step_m: f64,
     columns: usize,
     rows: usize,
 }
 
 impl<'a> Turned<'a> {
-    /// For boxes of this length and width (m), at this one of all headings, with their middles between a south-western and a
-    /// north-eastern corner (m).
+    /// For boxes of this length and width (m), at this one of all headings; `None` where none is searched for at it.
     pub(super) fn new(
         gradients: &'a Gradients,
-        [south_west, north_east]: [[f64; 2]; 2],
+        searched: &'a Searched,
         size_m: [f64; 2],
         heading: usize,
-    ) -> Self {
-        let yaw = std::f64::consts::PI * heading as f64 / HEADINGS as f64;
+    ) -> Option<Self> {
+        let corners = searched.corners(heading)?;
+        let yaw = yaw(heading);
         let (sin, cos) = yaw.sin_cos();
         let sides =
             [gradients.columns, gradients.rows].map(|count| count as f64 * gradients.cell_m);
@@ -57,13 +65,9 @@ impl<'a> Turned<'a> {
             sides[0] * sin.abs() + sides[1] * cos.abs(),
         ]
         .map(|side| (side / step_m).ceil().max(1.0) as usize);
-        // Of a box about a place outside of the image too little was seen.
-        let [first, last] = [gradients.within([0.0, 1.0]), gradients.within([1.0, 0.0])];
-        Self {
-            searched: [
-                [0, 1].map(|axis| south_west[axis].max(first[axis])),
-                [0, 1].map(|axis| north_east[axis].min(last[axis])),
-            ],
+        Some(Self {
+            searched,
+            corners,
             gradients,
             heading,
             middle: GroundBox {
@@ -78,7 +82,7 @@ impl<'a> Turned<'a> {
             step_m,
             columns,
             rows,
-        }
+        })
     }
 
     /// Places by column and row, in the map.
@@ -89,13 +93,13 @@ impl<'a> Turned<'a> {
         move |column, row| to_map([from_middle(column, columns), from_middle(row, rows)])
     }
 
-    /// The columns of a row that are searched, or no farther beyond (m) than this, and a few beside them.
+    /// The columns of a row between the corners, or no farther beyond (m) than this, and a few beside them.
     fn near(&self, row: usize, beyond_m: f64) -> Range<usize> {
         let centre = self.centre();
         let [from, to] = [centre(0, row), centre(self.columns, row)];
         // Of the row, the share at which it comes in and goes out on each axis.
         let shares = [0, 1].map(|axis| {
-            let [low, high] = self.searched.map(|corner| corner[axis]);
+            let [low, high] = self.corners.map(|corner| corner[axis]);
             let share = |side: f64| (side - from[axis]) / (to[axis] - from[axis]);
             [share(low - beyond_m), share(high + beyond_m)]
         });
@@ -137,18 +141,37 @@ impl<'a> Turned<'a> {
         let mut scores = [0, 1].map(|_| Vec::with_capacity(columns.len() * rows.len()));
         let template = Template::new(self, weights);
         let mut band = Band::new(self, template.across.into_iter().max().unwrap_or(0));
-        for row in rows {
+        let asked = self.asked(columns, rows);
+        let asked = asked.chunks(columns.len().max(1));
+        for (row, asked) in rows.iter().zip(asked) {
             while band.complete <= *row {
                 band.read_on();
             }
-            // With neighbours of those that are searched, that none of these is a peak which is none.
-            let near = self.near(*row, 2.0 * STRIDE as f64 * self.step_m);
             vectorised(
                 #[inline(always)]
-                || template.score(&band, *row, columns, &near, &mut scores),
+                || template.score(&band, *row, columns, asked, &mut scores),
             );
         }
         scores
+    }
+
+    /// By place that is tried, row by row: whether it is searched, or a neighbour of one that is, that none of these is a peak
+    /// which is none.
+    fn asked(&self, columns: &[usize], rows: &[usize]) -> Vec<bool> {
+        let centre = &self.centre();
+        let searched = rows.iter().flat_map(|row| {
+            let near = self.near(*row, self.step_m);
+            columns.iter().map(move |column| {
+                near.contains(column) && self.searched.has(centre(*column, *row), self.heading)
+            })
+        });
+        let searched: Vec<bool> = searched.collect();
+        let places = [columns.len(), rows.len()];
+        let asked = (0..searched.len()).map(|at| {
+            let mut around = around(at, places);
+            searched[at] || around.any(|other| searched[other])
+        });
+        asked.collect()
     }
 
     /// Places whose score no neighbour exceeds.
@@ -164,11 +187,7 @@ impl<'a> Turned<'a> {
             if !scores[*at].is_finite() {
                 return false;
             }
-            let (column, row) = (at % wide, at / wide);
-            let (left, right) = (column.saturating_sub(1), (column + 1).min(wide - 1));
-            let (top, bottom) = (row.saturating_sub(1), (row + 1).min(rows.len() - 1));
-            let mut near = (top..=bottom)
-                .flat_map(|row| (left..=right).map(move |column| row * wide + column));
+            let mut near = around(*at, [wide, rows.len()]);
             near.all(|other| scores[other] <= scores[*at])
         };
         let centre = self.centre();
@@ -181,6 +200,14 @@ impl<'a> Turned<'a> {
         };
         (0..scores.len()).filter(is_peak).map(scored).collect()
     }
+}
+
+/// A place among so many columns and rows, and its neighbours.
+fn around(at: usize, [columns, rows]: [usize; 2]) -> impl Iterator<Item = usize> {
+    let (column, row) = (at % columns, at / columns);
+    let (left, right) = (column.saturating_sub(1), (column + 1).min(columns - 1));
+    let (top, bottom) = (row.saturating_sub(1), (row + 1).min(rows - 1));
+    (top..=bottom).flat_map(move |row| (left..=right).map(move |column| row * columns + column))
 }
 
 /// Weights of a box's cells, and how far from its middle they lie.
@@ -213,28 +240,31 @@ impl Template {
         }
     }
 
-    /// Adds the scores of a row; those that are not near are not looked at.
+    /// Adds the scores of a row; columns that are not asked for are not looked at.
     #[inline(always)]
     fn score(
         &self,
         band: &Band<'_>,
         row: usize,
         columns: &[usize],
-        near: &Range<usize>,
+        asked: &[bool],
         scores: &mut [Vec<f32>; 2],
     ) {
         let lines = self
             .across
             .map(|across| band.cells(row.wrapping_add_signed(across)));
         let seen = band.seen(row);
-        let is_seen =
-            |column: &usize| near.contains(column) && f64::from(seen[*column]) >= self.least_seen;
+        let is_seen = |(column, is_asked): (&usize, &bool)| {
+            *is_asked && f64::from(seen[*column]) >= self.least_seen
+        };
         let (groups, rest) = columns.as_chunks::<TOGETHER>();
-        for group in groups {
-            self.score_group(&lines, *group, group.each_ref().map(is_seen), scores);
+        let (asked_groups, asked_rest) = asked.as_chunks::<TOGETHER>();
+        for (group, asked) in groups.iter().zip(asked_groups) {
+            let are_seen = std::array::from_fn(|at| is_seen((&group[at], &asked[at])));
+            self.score_group(&lines, *group, are_seen, scores);
         }
-        for column in rest {
-            self.score_group(&lines, [*column], [is_seen(column)], scores);
+        for one in rest.iter().zip(asked_rest) {
+            self.score_group(&lines, [*one.0], [is_seen(one)], scores);
         }
     }
 

@@ -1,6 +1,8 @@
 //! What is kept of rows and summed up beside what it is by definition.
+#![allow(clippy::unwrap_used)]
 
 use super::*;
+use crate::ground::boxes::headings::Headings;
 use crate::ground::boxes::overhead::{DIRECTIONS, NOT_SEEN, STEP};
 use crate::solving::random::SplitMix64;
 
@@ -83,6 +85,7 @@ fn places_are_scored_by_what_their_cells_show() {
     let mut turned_round = weights.clone();
     let cells = weights[..LENGTH - 1].chunks(BINS).rev().flatten();
     turned_round.splice(..LENGTH - 1, cells.copied());
+    let searched = Searched::new(&gradients, EVERYWHERE, &Headings::learn(&[], &[]));
     let (mut scored, mut left_out) = (0, 0);
     for (heading, size_m) in [
         (0, [1.2, 0.5]),
@@ -90,7 +93,7 @@ fn places_are_scored_by_what_their_cells_show() {
         (12, [0.9, 0.5]),
         (21, [1.0, 0.7]),
     ] {
-        let turned = Turned::new(&gradients, EVERYWHERE, size_m, heading);
+        let turned = Turned::new(&gradients, &searched, size_m, heading).unwrap();
         let columns: Vec<usize> = (20..turned.columns - 20).step_by(STRIDE).collect();
         let rows: Vec<usize> = (14..turned.rows - 14).step_by(STRIDE).collect();
         let found = turned.scores(&weights, &columns, &rows);
