@@ -820,6 +820,78 @@ fn people_answer_for_who_is_seen_in_images() {
     ended("serve/teach.py", &["blind", &server.http]);
 }
 
+/// What answers teach, as the plan `people` has it, of the pictures of a street.
+const LEARNT: &str = "\
+plan: learnt
+extends: asked.yaml
+steps:
+  answered_images:
+    sql: >
+      SELECT said.site, said.session, said.stamp, said.camera, p.image
+      FROM (SELECT DISTINCT site, anchor['session'] AS session, anchor['stamp'] AS stamp, anchor['camera'] AS camera
+            FROM placed_labels WHERE kind = 'person' AND anchor['camera'] IS NOT NULL) said
+      LEFT JOIN pictures p
+        ON p.site = said.site AND p.session = said.session AND p.stamp = said.stamp AND p.camera = said.camera
+  person_examples:
+    op: person_examples
+    in: { images: answered_images, labels: placed_labels, calibration: cameras, transforms: mounts }
+write: [pictures, poses, cameras, mounts, said, label_anchors, placed_labels, person_questions, person_examples]
+";
+
+/// Who was missed is drawn on a whole image, by HTTP and on the page; the act is in the author's log, and the next run has
+/// learnt from it.
+#[test]
+fn people_who_were_missed_are_drawn_on_images_and_the_next_run_learns_from_it() {
+    let street = AskedStreet::new();
+    let (map, labels) = (street.map(), street.path("labels"));
+    let server = Server::start(&map, &["--teach", text(&labels)]);
+    ended("serve/teach.py", &["missed", &server.http]);
+    ended("serve/teach.py", &["drawn", &server.http]);
+    drop(server);
+    let logs = std::fs::read_dir(labels.join("map/street")).unwrap();
+    let mut logs: Vec<_> = logs.map(|log| log.unwrap().path()).collect();
+    logs.sort();
+    let plan = street.path("learnt.yaml");
+    std::fs::write(&plan, LEARNT).unwrap();
+    let mut sessions = vec!["--sessions"];
+    sessions.extend(logs.iter().map(|log| text(log)));
+    // The server was killed: its logs have no end.
+    let run = plan_command(text(&plan), &map, "street", &sessions).output();
+    Finished::from(run.unwrap()).expect(3);
+
+    let pictures = "(SELECT *, row_number() OVER (ORDER BY stamp) AS nth FROM pictures)";
+    let said = format!(
+        "SELECT p.nth, a.act, count(*) AS n FROM said a JOIN {pictures} p
+           ON p.session = a.anchor['session'] AND p.stamp = a.anchor['stamp'] AND p.camera = a.anchor['camera']
+         WHERE a.kind = 'person' GROUP BY p.nth, a.act ORDER BY p.nth, a.act"
+    );
+    let act = |nth: u64, act: &str, n: u64| json!({ "nth": nth, "act": act, "n": n });
+    // Two were drawn, taken back, and drawn again.
+    let expected = json!([
+        act(1, "drawn", 2),
+        act(2, "drawn", 2),
+        act(6, "accepted", 1)
+    ]);
+    assert_eq!(sql(&map, &said), expected);
+
+    let examples = format!(
+        "SELECT p.nth, e.standing, e.x, e.y FROM person_examples e JOIN {pictures} p USING (session, stamp, camera)
+         WHERE e.standing = 'drawn' ORDER BY p.nth"
+    );
+    let examples = sql(&map, &examples);
+    let examples = examples.as_array().unwrap();
+    let of_images: Vec<_> = examples.iter().map(|row| row["nth"].as_u64()).collect();
+    assert_eq!(of_images, [Some(1), Some(2)]);
+    for row in examples {
+        let [x, y] = ["x", "y"].map(|name| row[name].as_f64().unwrap());
+        // As far as a box of six columns says, and where the image speaks for somebody nearby.
+        assert!((x - 5.0).hypot(y) < 2.5, "{row}");
+    }
+
+    let server = Server::start(&map, &["--teach", text(&labels)]);
+    ended("serve/teach.py", &["learnt", &server.http]);
+}
+
 /// What Chromium makes of the page, once its scripts have done their work; `None` where it is not installed.
 fn page(address: &str, picture: Option<&Path>) -> Option<String> {
     let chromium = Path::new("/usr/bin/chromium");

@@ -1,4 +1,4 @@
-"""Says things of a map by HTTP: read-only|taught|later|painted|people|blind ADDRESS; by its page: page|accepted|answered ADDRESS."""
+"""Says things of a map by HTTP: read-only|taught|later|painted|people|blind|missed|learnt ADDRESS; by its page: page|accepted|answered|drawn ADDRESS."""
 
 import json
 import struct
@@ -295,8 +295,124 @@ def blind(host):
     assert status >= 400 and "visit_a" in said, (status, said)
 
 
+def shared(one, other):
+    """What two boxes share, as a part of what they cover together."""
+    area = lambda left, top, right, bottom: max(right - left, 0) * max(bottom - top, 0)
+    both = area(max(one[0], other[0]), max(one[1], other[1]), min(one[2], other[2]), min(one[3], other[3]))
+    return both / (area(*one) + area(*other) - both)
+
+
+# Around somebody who stands some 5 m ahead.
+AHEAD = [125, 42, 131, 56]
+
+
+def missed(host):
+    """Draws somebody on the first image, takes them back, and draws them again; on the sixth a box accepts who is asked about. All else is refused."""
+    here, images = f"http://{host}/teach/street", pictures(host)
+    one, sixth = images[0], images[5]
+    of = lambda image: f"{here}/person/boxes?{urlencode(image)}"
+    draw = lambda boxes, image=one: ask(of(image), {"author": "ada", "boxes": boxes})
+    status, before = ask(of(one))
+    assert status == 200 and before["labels"] == [] and before["waiting"] == 0, before
+    status, said = draw([AHEAD])
+    assert status == 200 and said["saved"] == 1 and said["waiting"] == 1, said
+    (label,) = said["labels"]
+    assert (label["standing"], label["author"]) == ("drawn", "ada") and shared(label["box"], AHEAD) > 0.5, label
+    assert draw([AHEAD])[1]["saved"] == 0
+    assert ask(of(images[1]))[1]["labels"] == []
+    # Taken back, and drawn again: nobody else is meant.
+    assert ask(here, {"author": "ada", "features": said["undo"]})[1]["saved"] == 1
+    gone = ask(of(one))[1]
+    assert gone["labels"] == [] and gone["waiting"] == 0, gone
+    (again,) = draw([AHEAD])[1]["labels"]
+    assert again == label, again
+    # A box around who is asked about answers the question, at the place that is asked about.
+    assert 6 in asked(host)[0]
+    status, said = draw([[101, 31.5, 110, 60]], sixth)
+    assert status == 200 and said["waiting"] == 2, said
+    (answer,) = said["labels"]
+    assert (answer["standing"], answer["box"]) == ("accepted", [100.5, 30.5, 110.5, 60.5]), answer
+    assert asked(host)[0] == [number + 1 for number in range(len(images)) if number != 5]
+    status, open_ones = ask(f"{here}/person")
+    assert status == 200 and open_ones["waiting"] == 2, open_ones
+
+    before = ask(of(one))[1]
+    for boxes, text in [
+        ([[300, 1, 310, 9]], "box 0: expected a box within the image, 256 x 83 px, found [300"), ([[-1, 1, 10, 9]], "expected a box within the image"),
+        ([[9, 5, 9, 20]], "expected a box whose right is beyond its left"), ([[20, 5, 9, 20]], "expected a box whose right is beyond its left"),
+        ([AHEAD, [9, 5, 12, 5]], "box 1: expected a box whose right is beyond its left"),
+        ([[120, 1, 128, 6]], "whom nobody on the ground near the vehicle would fill"),
+        ([], "expected 1 to 100 boxes, found 0"), ([AHEAD] * 101, "expected 1 to 100 boxes, found 101"),
+    ]:
+        status, said = draw(boxes)
+        assert status == 400 and text in said["error"] and said["next"] == "nothing was saved", (boxes, said)
+    for boxes in [7, None, [[1, 2, 3]], [["1", 2, 3, 4]], [[1, 2, None, 4]]]:
+        assert draw(boxes)[0] in (400, 422), boxes
+    for other, text in [({"session": "nobody"}, "the map has no session nobody"), ({"camera": "rear"}, "no image of rear"), ({"stamp": "7"}, "at 7 ns")]:
+        for status, said in (draw([AHEAD], {**one, **other}), ask(of({**one, **other}))):
+            assert status == 400 and text in said["error"], (other, said)
+    for address, text in [(f"{here}/person/boxes", "expected session, camera and stamp of an image"), (f"{here}/crossing/boxes?{urlencode(one)}", "expected the kind person")]:
+        status, said = ask(address, {"author": "ada", "boxes": [AHEAD]})
+        assert status == 400 and text in said["error"], said
+    assert ask(of(one))[1] == before
+
+
+def drawn(host):
+    """Draws somebody on the second image with the page, takes them back, and draws them again."""
+    sys.path.append(str(Path(__file__).parents[1]))
+    from browser import Browser, until
+
+    one = pictures(host)[1]
+    browser = Browser(f"http://{host}/")
+    said = lambda: browser.said("evermap.missed.isReady && evermap.missed.said.length")
+    draw = lambda: browser.drag([[AHEAD[0], 83 - AHEAD[1]], [128, 83 - 50], [AHEAD[2], 83 - AHEAD[3]]], "evermap.missed.map")
+    try:
+        assert browser.said("document.getElementById('people-open').hidden")
+        kind = "document.getElementById('kind')"
+        browser.said(f"{kind}.value = 'person'; {kind}.dispatchEvent(new Event('change'))")
+        until(lambda: browser.said("evermap.taught.question?.question") == 1)
+        browser.press("s")
+        until(lambda: browser.said("evermap.taught.question?.question") == 2)
+        # The image of the question opens.
+        browser.press("w")
+        until(lambda: browser.said("evermap.missed.isReady"))
+        assert browser.said("evermap.missed.at.stamp") == one["stamp"]
+        draw()
+        until(lambda: said() == 1)
+        until(lambda: browser.text("people-waiting") == "3 answers about people wait for the next run of the plan people")
+        browser.press("u")
+        until(lambda: said() == 0)
+        draw()
+        until(lambda: said() == 1)
+        # A click is no box.
+        browser.click([200, 40], "evermap.missed.map")
+        # The next image that is asked about, and back: what was drawn is there.
+        browser.press("n")
+        until(lambda: said() == 0 and browser.text("people-name").startswith("3 of "))
+        browser.press("ArrowLeft")
+        until(lambda: said() == 1 and browser.text("people-name").startswith("2 of "))
+        assert browser.text("fault") == ""
+        browser.press("Escape")
+        assert not browser.said("evermap.missed.isOpen")
+        assert browser.text("waiting").startswith("3 answers about people wait")
+    finally:
+        browser.close()
+    (label,) = ask(f"http://{host}/teach/street/person/boxes?{urlencode(one)}")[1]["labels"]
+    assert label["standing"] == "drawn" and shared(label["box"], AHEAD) > 0.5, label
+
+
+def learnt(host):
+    """The map has learnt from all answers, and says of the first image what was said."""
+    said = ask(f"http://{host}/teach/street/person/boxes?{urlencode(pictures(host)[0])}")[1]
+    assert said["waiting"] == 0 and [label["standing"] for label in said["labels"]] == ["drawn"], said
+    assert shared(said["labels"][0]["box"], AHEAD) > 0.5, said
+
+
 def main(what, host):
-    others = {"painted": painted, "page": page, "accepted": accepted, "people": people, "answered": answered, "blind": blind}
+    others = {
+        "painted": painted, "page": page, "accepted": accepted, "people": people, "answered": answered, "blind": blind,
+        "missed": missed, "drawn": drawn, "learnt": learnt,
+    }
     if what in others:
         return others[what](host)
     here = f"http://{host}/teach"

@@ -6,7 +6,9 @@ import * as earth from "./earth.js";
 import { lineage } from "./lineage.js";
 import * as drawn from "./map.js";
 import * as comparison from "./moved.js";
-import * as paint from "./paint.js";
+import { Painting } from "./paint.js";
+import { Missed } from "./people.js";
+import { can as hasImages } from "./pictures.js";
 import * as drawer from "./rows.js";
 import { literal, maps, sql } from "./server.js";
 import { anything, placed } from "./shapes.js";
@@ -30,9 +32,10 @@ map.addLayer(moved);
 map.addLayer(results);
 window.evermap = { map, state };
 
-/** What is taught, where the server lets people teach, and what is painted on images. */
+/** What is taught, where the server lets people teach, what is painted on images, and who is drawn on them. */
 let taught;
 let painting;
+let missed;
 
 let working = 0;
 async function work(what, doing) {
@@ -86,18 +89,26 @@ async function begin() {
   } else fit();
   map.on("moveend", () => said(false));
   taught = await teach.begin(map, state, { fault, images: place, clear: drawer.close });
-  painting = taught && new paint.Painting(state, { fault, author: () => taught.author() });
-  Object.assign(window.evermap, { taught, painting });
-  paintable();
+  painting = taught && new Painting(state, { fault, author: () => taught.author() });
+  missed = taught && new Missed(state, taught, { fault });
+  Object.assign(window.evermap, { taught, painting, missed });
+  imaged();
   if (asked.query) {
     $("sql").value = asked.query;
     run(false);
   }
 }
 
-/** Whether there are images that people may paint on. */
-function paintable() {
-  $("paint-open").hidden = !painting || !paint.can(state.there);
+/** Offers what people may do on images, where there are some. */
+function imaged() {
+  const may = Boolean(taught) && hasImages(state.there);
+  $("paint-open").hidden = !may;
+  $("people-open").hidden = !may || taught.kind !== "person";
+}
+
+/** Opens the image of the question whole, or the first one. */
+function whole() {
+  if (!$("people-open").hidden) missed.open(taught.question?.image);
 }
 
 function others(served) {
@@ -124,7 +135,7 @@ async function opened(wanted) {
   $("sites").replaceChildren(...names.map((name) => new Option(name, name, false, name === state.site)));
   about();
   list();
-  paintable();
+  imaged();
   state.origin = await work("where it lies", () => earth.origin(state, signal));
   if (signal.aborted) return;
   earth.point($("north"), state.origin);
@@ -362,7 +373,7 @@ function toVersion(place) {
 }
 
 const KEYS = {
-  d: theme, f: fit, l: () => folded(!document.body.classList.contains("folded")), "/": () => $("sql").focus(),
+  d: theme, f: fit, w: whole, l: () => folded(!document.body.classList.contains("folded")), "/": () => $("sql").focus(),
   "[": () => toVersion(Number($("version").value) - 1), "]": () => toVersion(Number($("version").value) + 1),
 };
 
@@ -372,13 +383,17 @@ $("fold").addEventListener("click", () => folded(true));
 $("unfold").addEventListener("click", () => folded(false));
 $("close").addEventListener("click", drawer.close);
 $("paint-open").addEventListener("click", () => painting.open());
+$("people-open").addEventListener("click", whole);
+$("seen-image").addEventListener("click", whole);
+$("kind").addEventListener("change", imaged);
 $("fault").addEventListener("click", () => fault(""));
 $("query").addEventListener("submit", (event) => { event.preventDefault(); run(true); });
 $("sql").addEventListener("keydown", (event) => {
   if (event.key === "Enter" && (event.ctrlKey || event.metaKey)) { event.preventDefault(); run(true); }
 });
 addEventListener("keydown", (event) => {
-  if (painting?.isOpen) { painted(event); return; }
+  const viewer = [painting, missed].find((one) => one?.isOpen);
+  if (viewer) { pressed(event, viewer); return; }
   if (event.key === "Escape") { taught?.stop(); drawer.close(); fault(""); $("map").focus(); return; }
   const typing = ["TEXTAREA", "INPUT", "SELECT"].includes(event.target.tagName) && event.target.type !== "checkbox";
   if (typing || event.ctrlKey || event.metaKey || event.altKey) return;
@@ -387,13 +402,13 @@ addEventListener("keydown", (event) => {
   event.preventDefault();
   doing();
 });
-/** A key while an image is painted on; what is typed in a field stays there. */
-function painted(event) {
+/** A key while an image is shown whole; what is typed in a field stays there. */
+function pressed(event, viewer) {
   const { tagName, type } = event.target;
   const typing = tagName === "SELECT" || (tagName === "INPUT" && type !== "range");
   if (event.ctrlKey || event.metaKey || event.altKey || (typing && event.key !== "Escape")) return;
   if (typing) event.target.blur();
-  else if (painting.pressed(event.key)) event.preventDefault();
+  else if (viewer.pressed(event.key)) event.preventDefault();
 }
 
 addEventListener("popstate", () => location.reload());

@@ -1,5 +1,7 @@
 /** Teaching: people draw boxes, areas and lines, and answer what the map asks. What the page calls saved is on the disk. */
 import { BLUE, GREEN, GREY, VERMILION, YELLOW, faint } from "./colours.js";
+import { waiting } from "./people.js";
+import { same } from "./pictures.js";
 import { box, outline } from "./shapes.js";
 import { OTHERS_MS, part, teaching } from "./server.js";
 
@@ -39,7 +41,7 @@ const near = (a, b) => (a.image || b.image ? shown(a) === shown(b) : Math.hypot(
 
 class Teaching {
   constructor(map, state, page) {
-    Object.assign(this, { map, state, page, labels: [], revision: 0, asked: [], skipped: new Set(), question: undefined, undone: [], chosen: undefined });
+    Object.assign(this, { map, state, page, labels: [], revision: 0, asked: [], hypotheses: [], skipped: new Set(), question: undefined, undone: [], chosen: undefined });
     [this.proposed, this.said, this.pointed] = [layer(92), layer(94), layer(96)];
     for (const made of [this.proposed, this.said, this.pointed]) map.addLayer(made);
     $("kinds").replaceChildren(...KINDS.map((kind) => new Option(kind)));
@@ -108,7 +110,9 @@ class Teaching {
     }
   }
 
-  rankIs({ hypotheses, milliseconds, is_searched: isSearched, revision, unplaced = 0 }) {
+  rankIs({ hypotheses, milliseconds, is_searched: isSearched, revision, unplaced = 0, waiting: count = 0 }) {
+    this.hypotheses = hypotheses;
+    $("waiting").textContent = waiting(count);
     const features = hypotheses.filter(({ probability, question }) => probability >= 0.5 || question).map((row) => {
       const made = box(row.map_from_label, row.length_m, row.width_m, { row, colour: row.probability >= 0.5 ? BLUE : YELLOW, dashed: true, fill: 0.05 + 0.2 * row.probability });
       return made;
@@ -119,8 +123,14 @@ class Teaching {
     const likely = hypotheses.filter(({ probability }) => probability >= 0.5).length;
     Object.assign(this, { ranked: { likely, milliseconds, isSearched, unplaced }, rankedRevision: revision });
     // What a person looks at does not change under their hands, unless it is answered.
-    const same = this.question && this.asked.find((one) => near(one, this.question));
-    this.ask(same ?? this.asked[0], Boolean(same));
+    const stays = this.question && this.asked.find((one) => near(one, this.question));
+    this.ask(stays ?? this.asked[0], Boolean(stays));
+    this.heard?.();
+  }
+
+  /** Whom is asked about in an image, those that were skipped too. */
+  openIn(shownBy) {
+    return this.hypotheses.filter(({ image }) => image && same(image, shownBy));
   }
 
   /** Shows a question, and the images of its place. */
@@ -154,7 +164,7 @@ class Teaching {
   /** What is said where nothing is asked. */
   nothing() {
     const { kind, ranked: { unplaced = 0 } = {} } = this;
-    if (kind === "person") return unplaced ? `${unplaced} cannot be asked about: the map does not say where their images were taken.` : "nobody is worth asking about; the plan people asks, anew with each run";
+    if (kind === "person") return unplaced ? `${unplaced} cannot be asked about: the map does not say where their images were taken.` : "nobody is worth asking about; the plan people asks, anew with each run. Who was missed is drawn on whole images.";
     if (this.labels.some((label) => label.kind === kind && label.standing !== "rejected")) return "nothing is worth asking";
     return `Draw a ${kind.replaceAll("_", " ")}, or a few: others will be found.`;
   }
@@ -203,8 +213,7 @@ class Teaching {
     $("saved").textContent = "saving …";
     try {
       const answer = await teaching([this.state.site], {}, { author: this.author(), features: { type: "FeatureCollection", features } });
-      if (!isUndo && answer.saved > 0) this.undone.push(answer.undo.features);
-      $("undo").disabled = this.undone.length === 0;
+      if (!isUndo) this.saved(answer);
       $("saved").textContent = [answer.saved ? `saved; labels: ${answer.labels.length}` : "was so already", ...answer.notes].join("; ");
       this.show(answer);
       this.rank();
@@ -218,11 +227,20 @@ class Teaching {
     }
   }
 
+  /** Knows how what was saved is taken back. */
+  saved({ saved, undo }) {
+    if (saved > 0) this.undone.push(undo.features);
+    $("undo").disabled = this.undone.length === 0;
+  }
+
+  /** Takes the last act back; it is when this returns `true`. */
   async undo() {
     const features = this.undone.pop();
-    if (!features) return;
-    if (!(await this.say(features, true))) this.undone.push(features);
+    if (!features) return false;
+    const isDone = await this.say(features, true);
+    if (!isDone) this.undone.push(features);
     $("undo").disabled = this.undone.length === 0;
+    return isDone;
   }
 
   /** The label that a person points at. */

@@ -16,6 +16,7 @@ pub mod people;
 pub mod person_images;
 pub mod pixels;
 pub mod saying;
+pub mod seen;
 pub mod state;
 
 use std::collections::{BTreeMap, BTreeSet};

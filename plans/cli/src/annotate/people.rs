@@ -3,25 +3,15 @@
 
 use std::path::Path;
 
-use evermap_algorithms::geometry::pose::Pose;
-use evermap_algorithms::ground::people::PeopleParams;
-use evermap_algorithms::ground::people::boxed::{overlap, standing};
 use evermap_catalog::PERSON;
-use evermap_catalog::painted::ImageKey;
 use evermap_schemas::Fault;
-use nalgebra::Vector3;
 
 use super::Losses;
-use super::features::{Feature, Geometry, Point};
-use super::person_images::{AskedBox, CORNER, PersonImage, PersonImages};
+use super::features::Feature;
+use super::person_images::{AskedBox, PersonImage, PersonImages};
 use super::pixels::{Boxes, PictureBox, Pixel, Program};
+use super::seen::{PixelBox, Seen, same};
 use super::state::State;
-
-/// A box that was drawn is about who was asked about if the two share as much of what they cover together: people draw
-/// tighter than a detector.
-const SAME: f64 = 0.3;
-/// Half the side of the box that is drawn where somebody stands, m.
-const HALF_M: f64 = 0.2;
 
 /// What a file of COCO, CVAT or Label Studio says of the images of a folder that `evermap export --format coco` wrote. What
 /// makes no sense is noted and left out; `plane_m` is the height of the ground in the vehicle frame.
@@ -57,8 +47,7 @@ pub fn read(
     for (image, drawn) in images.images.iter().zip(drawn) {
         let asked: Vec<&AskedBox> = images.asked(image).collect();
         let said = said(&asked, &drawn);
-        let image = Shown::new(image, state, plane_m);
-        features.extend(image.features(&said, losses));
+        features.extend(features_of(image, &said, (state, plane_m), losses));
     }
     Ok(features)
 }
@@ -123,10 +112,7 @@ fn said<'a>(asked: &[&'a AskedBox], image: &'a OnImage) -> Vec<Said<'a>> {
     if !image.is_seen {
         return Vec::new();
     }
-    let alike = |one: &AskedBox, other: &PictureBox| {
-        let alike = overlap(&flat(one.bounds()), &flat(other.bounds));
-        (alike >= SAME).then_some(alike)
-    };
+    let alike = |one: &AskedBox, other: &PictureBox| same(&flat(one.bounds()), &flat(other.bounds));
     // How much a box of something else is like each, where one is.
     let others = asked.iter().map(|one| {
         let others = image.others.iter().filter_map(|other| alike(one, other));
@@ -164,102 +150,44 @@ fn said<'a>(asked: &[&'a AskedBox], image: &'a OnImage) -> Vec<Said<'a>> {
         .collect()
 }
 
-fn flat([[left, top], [right, bottom]]: [Pixel; 2]) -> [f64; 4] {
+fn flat([[left, top], [right, bottom]]: [Pixel; 2]) -> PixelBox {
     [left, top, right, bottom]
 }
 
-/// An image, and what the map knows of it.
-struct Shown<'a> {
-    image: &'a PersonImage,
-    key: ImageKey,
-    state: &'a State,
-    plane_m: f64,
-}
-
-impl<'a> Shown<'a> {
-    fn new(image: &'a PersonImage, state: &'a State, plane_m: f64) -> Self {
-        Self {
-            key: image.key(),
-            image,
-            state,
-            plane_m,
-        }
-    }
-
-    fn features(&self, said: &[Said<'_>], losses: &mut Losses) -> Vec<Feature> {
-        let Some(map_from_vehicle) = self.state.map_from_vehicle(&self.key) else {
-            let place = &self.image.file_name;
-            losses.note("image that the map has no vehicle pose of", place);
+/// What was said of an image, as features of a map.
+fn features_of(
+    image: &PersonImage,
+    said: &[Said<'_>],
+    map: (&State, f64),
+    losses: &mut Losses,
+) -> Vec<Feature> {
+    let key = image.key();
+    let seen = match Seen::new(&key, image.canvas().size, map) {
+        Ok(seen) => seen,
+        Err(reason) => {
+            losses.note(reason, &image.file_name);
             return Vec::new();
-        };
-        let mut features = Vec::new();
-        for one in said {
-            let (standing, place, at) = match one {
-                Said::Left(asked) => ("accepted", self.place(asked), Ok([asked.x, asked.y])),
-                Said::Removed(asked) => ("rejected", self.place(asked), Ok([asked.x, asked.y])),
-                Said::Added(drawn) => {
-                    let place = format!("{}, {}", self.image.file_name, drawn.place);
-                    ("drawn", place, self.standing(drawn))
+        }
+    };
+    let answer = |asked: &AskedBox, standing: &str| {
+        let place = format!("{}, question {}", image.file_name, asked.question);
+        seen.feature(place, standing, [asked.x, asked.y])
+    };
+    let mut features = Vec::new();
+    for one in said {
+        match one {
+            Said::Left(asked) => features.push(answer(asked, "accepted")),
+            Said::Removed(asked) => features.push(answer(asked, "rejected")),
+            Said::Added(drawn) => {
+                let place = format!("{}, {}", image.file_name, drawn.place);
+                match seen.standing(&flat(drawn.bounds)) {
+                    Ok(at) => features.push(seen.feature(place, "drawn", at)),
+                    Err(reason) => losses.note(reason, &place),
                 }
-            };
-            match at {
-                Ok(at) => features.push(Feature {
-                    place,
-                    label: None,
-                    within_m: None,
-                    kind: Some(PERSON.to_owned()),
-                    category: None,
-                    standing: Some(standing.to_owned()),
-                    geometry: Some(self.footprint(&map_from_vehicle, at)),
-                    brush_px: None,
-                    image: Some(self.key.clone()),
-                }),
-                Err(reason) => losses.note(reason, &place),
             }
         }
-        features
     }
-
-    fn place(&self, asked: &AskedBox) -> String {
-        format!("{}, question {}", self.image.file_name, asked.question)
-    }
-
-    /// Where in the vehicle frame somebody stands who was missed, m.
-    fn standing(&self, drawn: &PictureBox) -> Result<[f64; 2], &'static str> {
-        let (session, _, camera) = &self.key;
-        let mounted = self.state.holds.camera(session, camera);
-        let mounted =
-            mounted.ok_or("box of somebody new, of a camera that the map does not know")?;
-        // The lens is that of images of the calibration's size.
-        let lens = [mounted.camera.width, mounted.camera.height];
-        let size = self.image.canvas().size;
-        let pixel = |at: Pixel| {
-            [0, 1].map(|axis| at[axis] * f64::from(lens[axis]) / f64::from(size[axis]) - CORNER)
-        };
-        let drawn = flat(drawn.bounds.map(pixel));
-        let params = PeopleParams {
-            plane_m: self.plane_m,
-            ..PeopleParams::default()
-        };
-        let found = standing(
-            &mounted.camera,
-            &mounted.vehicle_from_camera,
-            &drawn,
-            &params,
-        );
-        found.ok_or("box of somebody new, whom nobody on the ground near the vehicle would fill")
-    }
-
-    /// A small box in the map where somebody stands.
-    fn footprint(&self, map_from_vehicle: &Pose, [x, y]: [f64; 2]) -> Geometry {
-        let corners = [[1.0, 1.0], [-1.0, 1.0], [-1.0, -1.0], [1.0, -1.0]];
-        let corner = |[ahead, left]: [f64; 2]| -> Point {
-            let at = Vector3::new(x + HALF_M * ahead, y + HALF_M * left, self.plane_m);
-            let at = map_from_vehicle.transform(&at);
-            ([at.x, at.y], Some(at.z))
-        };
-        Geometry::Closed(corners.map(corner).to_vec())
-    }
+    features
 }
 
 #[cfg(test)]

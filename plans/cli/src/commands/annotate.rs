@@ -7,11 +7,11 @@ use evermap_datasets::annotations::{Annotation, parts};
 use evermap_engine::map::version::Version;
 use evermap_schemas::layers::{BoxHypothesis, PlacedLabel};
 use evermap_schemas::{Fault, LayerRow, batch};
-use serde_json::Value;
 
 use crate::annotate::features::{Feature, read};
 use crate::annotate::mosaic::Picture;
 use crate::annotate::saying::{Speaker, said};
+use crate::annotate::seen::plane_m;
 use crate::annotate::state::State;
 use crate::annotate::{Losses, begin, people, taking_in, unwritten, user};
 use crate::arguments::AnnotateArgs;
@@ -68,8 +68,7 @@ async fn features(
         let mosaic = args.mosaic.as_deref().map(Picture::read).transpose()?;
         return read(file, mosaic.as_ref(), losses);
     };
-    let plane_m = reader.map.parameter("plane_m", &state.site).await?;
-    let plane_m = plane_m.as_ref().and_then(Value::as_f64).unwrap_or(0.0);
+    let plane_m = plane_m(reader, &state.site).await?;
     people::read(file, folder, (state, plane_m), losses)
 }
 

@@ -2,7 +2,7 @@
 //!
 //! In an image of a fisheye people lie on their side, so no edge of a box is at their feet. But a place on the ground tells
 //! what box is around who stands there, and in which direction they are the middle of the box says: what is left is the
-//! range, and the box of the best one is most like the one that was drawn.
+//! range, and the box of the best one is most like the one that was drawn. That box is what is shown of them afterwards.
 
 use super::PeopleParams;
 use super::search::SLENDER;
@@ -49,17 +49,38 @@ pub fn standing(
     let ranges = std::iter::successors(Some(first), |range_m| Some(range_m * STEP));
     let mut best = (LEAST, None);
     for range_m in ranges.take_while(|range_m| *range_m <= last) {
-        let stance = Stance {
-            azimuth,
-            range_m,
-            foot_m: 0.0,
-            height_m: params.height_m,
-        };
-        let around = upright.rectangle(&stance, SLENDER * params.height_m);
+        let around = usual(&upright, [azimuth, range_m], params);
         let alike = around.map_or(0.0, |around| overlap(&around, drawn));
         if alike > best.0 {
             best = (alike, Some(upright.on_ground(azimuth, range_m)));
         }
     }
     best.1
+}
+
+/// The box around somebody of usual size who stands at a point of the ground in the vehicle frame (m); `None` where the image
+/// shows neither their feet nor their head.
+pub fn around(
+    camera: &Camera,
+    vehicle_from_camera: &Pose,
+    position: [f64; 2],
+    params: &PeopleParams,
+) -> Option<Rectangle> {
+    let upright = Upright::unrolled(camera.clone(), vehicle_from_camera, params)?;
+    usual(&upright, upright.sight(position), params)
+}
+
+/// The box around somebody of usual size, by direction (rad) and range (m).
+fn usual(
+    upright: &Upright,
+    [azimuth, range_m]: [f64; 2],
+    params: &PeopleParams,
+) -> Option<Rectangle> {
+    let stance = Stance {
+        azimuth,
+        range_m,
+        foot_m: 0.0,
+        height_m: params.height_m,
+    };
+    upright.rectangle(&stance, SLENDER * params.height_m)
 }

@@ -225,6 +225,8 @@ fn who_is_boxed_stands_where_their_box_would_be() {
             height_m: params.height_m,
         };
         let exact = upright.rectangle(&stance, 0.4 * params.height_m).unwrap();
+        let around = boxed::around(&camera, &pose, place, &params);
+        assert_eq!(around, Some(exact), "{place:?}");
         let off_m = |drawn: [f64; 4]| {
             let [x, y] = boxed::standing(&camera, &pose, &drawn, &params).unwrap();
             (x - place[0]).hypot(y - place[1])
@@ -245,6 +247,9 @@ fn who_is_boxed_stands_where_their_box_would_be() {
     ] {
         assert_eq!(boxed::standing(&camera, &pose, &nobody, &params), None);
     }
+    // Who stands behind the camera is in no box.
+    let behind = boxed::around(&camera, &pose, [1.0, -5.0], &params);
+    assert_eq!(behind, None);
 }
 
 #[test]

@@ -1,5 +1,6 @@
 //! Maps by HTTP. `docs/serving.md` lists the addresses.
 
+mod boxes;
 mod conversation;
 mod formats;
 mod given;
@@ -132,6 +133,10 @@ fn of_map() -> Router<App> {
         .route("/teach", get(teach::may))
         .route("/teach/{site}", get(teach::labels).post(teach::say))
         .route("/teach/{site}/{kind}", get(teach::hypotheses))
+        .route(
+            "/teach/{site}/{kind}/boxes",
+            get(boxes::on_image).post(boxes::draw),
+        )
 }
 
 /// Answers nothing to those who may not come in, and adds what keeps a browser careful.

@@ -20,7 +20,7 @@ use crate::camera_images::file;
 use crate::serve::access::Who;
 use crate::serve::http::{App, Asks, MapOf, Refusal, named};
 use crate::serve::maps::ServedMap;
-use crate::serve::teach::{Asked as AskedPerson, Canvas, Site, Teaching};
+use crate::serve::teach::{Asked as AskedPerson, Canvas, Saved, Site, Teaching};
 
 /// `GET /teach`: whether people may teach, and as whom.
 pub async fn may(
@@ -50,7 +50,9 @@ pub struct OfImage {
 }
 
 impl OfImage {
-    fn key(self) -> Result<Option<ImageKey>, Fault> {
+    /// # Errors
+    /// A user fault where a part of its name is missing.
+    pub(super) fn key(self) -> Result<Option<ImageKey>, Fault> {
         match (self.session, self.stamp, self.camera) {
             (Some(session), Some(stamp), Some(camera)) => Ok(Some((session, Stamp(stamp), camera))),
             (None, None, None) => Ok(None),
@@ -153,7 +155,7 @@ pub async fn say(
             .next("nothing was saved")
             .into());
     }
-    let (saved, mut answer) = match of.key()? {
+    let (saved, answer) = match of.key()? {
         Some(image) => {
             let size = app.within(size(&map, &image)).await?;
             let canvas = Canvas {
@@ -168,15 +170,20 @@ pub async fn say(
             (saved, labels_of(&site).await)
         }
     };
+    Ok(said(saved, answer))
+}
+
+/// What there is now, with what was saved of it.
+pub(super) fn said(saved: Saved, mut answer: Value) -> Json<Value> {
     answer["saved"] = saved.acts.into();
     answer["undo"] = saved.undo;
     answer["notes"] = saved.notes.into();
     answer["revision"] = saved.revision.into();
-    Ok(Json(answer))
+    Json(answer)
 }
 
 impl App {
-    fn teaching(&self) -> Result<&Arc<Teaching>, Fault> {
+    pub(super) fn teaching(&self) -> Result<&Arc<Teaching>, Fault> {
         let teaching = self.teaching.as_ref();
         teaching.ok_or_else(|| {
             Fault::user("this server is only read").next("start it with --teach FOLDER")
@@ -191,7 +198,7 @@ async fn labels_of(site: &Site) -> Value {
 }
 
 /// Width and height of an image of the newest version.
-async fn size(map: &ServedMap, image: &ImageKey) -> Result<[u32; 2], Fault> {
+pub(super) async fn size(map: &ServedMap, image: &ImageKey) -> Result<[u32; 2], Fault> {
     let opened = map.newest().await?;
     let bytes = file(&opened.reader, &opened.context, image).await?;
     image_size(&bytes).map_err(|error| Fault::data(error.to_string()))
@@ -210,6 +217,7 @@ async fn people_of(site: &Site) -> Value {
         "is_searched": true,
         "milliseconds": 0,
         "unplaced": found.unplaced,
+        "waiting": found.waiting,
         "hypotheses": found.asked.iter().map(person).collect::<Vec<_>>(),
     })
 }

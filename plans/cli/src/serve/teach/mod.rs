@@ -7,6 +7,7 @@
 //! A log ends when its author has said nothing for a while, when a version of the map has it, or with the server: a run
 //! reads whole logs, and the next act begins the next part.
 
+mod drawn;
 mod lesson;
 mod painting;
 mod people;
@@ -25,13 +26,16 @@ use rayon::{ThreadPool, ThreadPoolBuilder};
 use tokio::sync::Mutex;
 
 use crate::annotate::features::Feature;
+use crate::annotate::seen::PixelBox;
 use crate::annotate::{is_blank, user};
 use crate::serve::maps::{Opened, ServedMap};
 use crate::serve::teach::lesson::{Learnt, Lesson};
-use crate::serve::teach::told::{Saved, Told};
+use crate::serve::teach::told::Told;
 
+pub use crate::serve::teach::drawn::PeopleOnImage;
 pub use crate::serve::teach::painting::{Canvas, Painted};
 pub use crate::serve::teach::people::{Asked, People};
+pub use crate::serve::teach::told::Saved;
 
 /// A log ends when its author has said nothing for so long.
 const SITTING: Duration = Duration::from_secs(60);
@@ -178,6 +182,29 @@ impl Site {
     /// Whom to ask about.
     pub async fn people(&self) -> People {
         self.told.lock().await.people()
+    }
+
+    /// Who was said to be in an image, and who was said to be none.
+    pub async fn on_image(&self, canvas: &Canvas<'_>) -> PeopleOnImage {
+        self.told.lock().await.on_image(canvas)
+    }
+
+    /// Says whom boxes on an image are around: people who were missed, or whom the map asks about. The next run learns from
+    /// it.
+    ///
+    /// # Errors
+    /// A user fault for boxes that make no sense there, a resource fault where they cannot be written. Nothing is said then.
+    pub async fn draw(
+        &self,
+        author: &str,
+        canvas: &Canvas<'_>,
+        boxes: &[PixelBox],
+    ) -> Result<Saved, Fault> {
+        let author = word(author)?;
+        let mut told = self.told.lock().await;
+        let features = tokio::task::block_in_place(|| told.boxed(canvas, boxes))?;
+        told.know_images(&features).await?;
+        tokio::task::block_in_place(|| told.say(author, &features))
     }
 
     /// What lies on an image.

@@ -17,6 +17,8 @@ pub struct People {
     pub asked: Vec<Asked>,
     /// How many others there are: of images that the map has no vehicle pose of, where no answer can be held.
     pub unplaced: usize,
+    /// How many answers the version has not learnt from.
+    pub waiting: usize,
 }
 
 /// Somebody to ask about.
@@ -40,6 +42,7 @@ impl Told {
             revision: self.revision,
             asked: Vec::new(),
             unplaced: 0,
+            waiting: self.waiting(),
         };
         let labels = self.state.labels.rows().iter();
         let said: Vec<&PlacedLabel> = labels.filter(|label| label.kind == PERSON).collect();
@@ -59,7 +62,8 @@ impl Told {
     }
 }
 
-fn shown_by(question: &PersonQuestion) -> ImageKey {
+/// The image that may show who is asked about.
+pub(super) fn shown_by(question: &PersonQuestion) -> ImageKey {
     (
         question.session.clone(),
         question.stamp,
@@ -76,7 +80,7 @@ fn standing(map_from_vehicle: &Pose, question: &PersonQuestion) -> evermap_schem
 }
 
 /// Whether a label says who it is: of the same image, and of just that place.
-fn answers(label: &PlacedLabel, question: &PersonQuestion) -> bool {
+pub(super) fn answers(label: &PlacedLabel, question: &PersonQuestion) -> bool {
     let place = label.anchor.as_ref().map(|it| &it.vehicle_from_label);
     let is_there =
         place.is_some_and(|at| (at.x - question.x).hypot(at.y - question.y) <= ANSWERED_M);
@@ -84,13 +88,14 @@ fn answers(label: &PlacedLabel, question: &PersonQuestion) -> bool {
 }
 
 #[cfg(test)]
-mod tests {
+pub(super) mod tests {
     use evermap_schemas::roles::Anchor;
     use evermap_schemas::{Stamp, Wkb};
 
     use super::*;
 
-    fn question(stamp: i64, x: f64) -> PersonQuestion {
+    /// Somebody to ask about, ahead in an image of this instant.
+    pub(in crate::serve::teach) fn question(stamp: i64, x: f64) -> PersonQuestion {
         PersonQuestion {
             site: "lot".into(),
             question: 1,
@@ -110,35 +115,40 @@ mod tests {
         }
     }
 
-    #[test]
-    fn an_answer_is_about_who_stands_there_in_that_image() {
-        let mut label = PlacedLabel {
+    /// A label that says that somebody is none, tied to the image of this instant, and so far ahead (m) where one is given.
+    pub(in crate::serve::teach) fn label(name: &str, image: Option<(i64, f64)>) -> PlacedLabel {
+        let anchor = |(stamp, x): (i64, f64)| Anchor {
+            session: "a".into(),
+            stamp: Stamp(stamp),
+            camera: Some("front".into()),
+            vehicle_from_label: evermap_schemas::Pose {
+                x,
+                y: 1.0,
+                ..evermap_schemas::Pose::IDENTITY
+            },
+        };
+        PlacedLabel {
             site: "lot".into(),
-            label: "one".into(),
+            label: name.into(),
             kind: PERSON.into(),
             standing: "rejected".into(),
             author: "ada".into(),
             said: Stamp(1),
             placed_by: "pose".into(),
-            anchor: None,
+            anchor: image.map(anchor),
             shape: "box".into(),
             map_from_label: evermap_schemas::Pose::IDENTITY,
             length_m: Some(0.4),
             width_m: Some(0.4),
             points: Vec::new(),
             geometry: Wkb::point([0.0; 3]),
-        };
-        assert!(!answers(&label, &question(5, 2.0)));
-        label.anchor = Some(Anchor {
-            session: "a".into(),
-            stamp: Stamp(5),
-            camera: Some("front".into()),
-            vehicle_from_label: evermap_schemas::Pose {
-                x: 2.2,
-                y: 1.0,
-                ..evermap_schemas::Pose::IDENTITY
-            },
-        });
+        }
+    }
+
+    #[test]
+    fn an_answer_is_about_who_stands_there_in_that_image() {
+        assert!(!answers(&label("one", None), &question(5, 2.0)));
+        let mut label = label("one", Some((5, 2.2)));
         assert!(answers(&label, &question(5, 2.0)));
         assert!(!answers(&label, &question(5, 1.8)));
         assert!(!answers(&label, &question(6, 2.0)));

@@ -8,18 +8,23 @@ use std::time::{Duration, Instant};
 use evermap_algorithms::ground::boxes::mosaic::Mosaic;
 use evermap_datasets::annotations::{Annotation, AnnotationLog};
 use evermap_schemas::Fault;
-use evermap_schemas::layers::{Lane, OverheadGradients, OverheadTile, PersonQuestion};
+use evermap_schemas::layers::{
+    Lane, OverheadGradients, OverheadTile, PersonExample, PersonQuestion, PlacedLabel,
+};
 use evermap_schemas::roles::ImageAnnotation;
 use serde_json::{Value, json};
 
+use super::drawn::is_answer;
 use super::made;
 use crate::annotate::features::Feature;
 use crate::annotate::geojson::of_image;
 use crate::annotate::saying::{Speaker, read_back, said};
+use crate::annotate::seen::plane_m;
 use crate::annotate::state::{State, image_of, painted};
 use crate::annotate::{Losses, begin, taking_in, unwritten};
 use crate::ending::Lost;
 use crate::progress::line;
+use crate::reader::MapReader;
 use crate::serve::maps::Opened;
 
 /// A site with all that was said of it.
@@ -34,6 +39,10 @@ pub(super) struct Told {
     pub(super) paint: Vec<ImageAnnotation>,
     /// Whom the version asks about, the first one first.
     pub(super) people: Vec<PersonQuestion>,
+    /// The answers about people that the version has learnt from, by name.
+    pub(super) learnt: BTreeMap<String, PlacedLabel>,
+    /// Height of the ground in the vehicle frame, m.
+    pub(super) plane_m: f64,
     logs: BTreeMap<String, (AnnotationLog, Instant)>,
     pub(super) folder: PathBuf,
     /// Counts what was said since the server knows the site.
@@ -72,6 +81,8 @@ impl Told {
         }
         let mut people: Vec<PersonQuestion> = opened.reader.rows(Some(site)).await?;
         people.sort_by_key(|row| row.question);
+        let learnt = learnt(&opened.reader, site).await?;
+        let plane_m = plane_m(&opened.reader, site).await?;
         let tiles: Vec<OverheadTile> = opened.reader.rows(Some(site)).await?;
         // A map that an older evermap made has none.
         let known: Vec<OverheadGradients> = opened.reader.rows(Some(site)).await?;
@@ -87,6 +98,8 @@ impl Told {
             lanes: Arc::new(lanes),
             paint,
             people,
+            learnt,
+            plane_m,
             logs: BTreeMap::new(),
             folder,
             revision: 1,
@@ -218,6 +231,16 @@ impl Drop for Told {
     fn drop(&mut self) {
         self.end(Duration::ZERO);
     }
+}
+
+/// The answers about people that a version has learnt from, by name: all that it has, where it learns from answers.
+async fn learnt(reader: &MapReader, site: &str) -> Result<BTreeMap<String, PlacedLabel>, Fault> {
+    if reader.layer_of::<PersonExample>().is_none() {
+        return Ok(BTreeMap::new());
+    }
+    let labels: Vec<PlacedLabel> = reader.rows(Some(site)).await?;
+    let answers = labels.into_iter().filter(is_answer);
+    Ok(answers.map(|label| (label.label.clone(), label)).collect())
 }
 
 /// The logs of a folder, by name.
