@@ -10,6 +10,7 @@ use super::painting::Canvas;
 use super::people::{answers, shown_by};
 use super::told::Told;
 use crate::annotate::features::Feature;
+use crate::annotate::known::KnownLabels;
 use crate::annotate::person_images::CORNER;
 use crate::annotate::seen::{PixelBox, Seen, same};
 use crate::annotate::state::image_of;
@@ -35,7 +36,7 @@ pub struct PeopleOnImage {
 impl Told {
     pub(super) fn on_image(&self, canvas: &Canvas<'_>) -> PeopleOnImage {
         let seen = Seen::new(canvas.image, canvas.size, (&self.state, self.plane_m)).ok();
-        let labels = self.state.labels.values();
+        let labels = self.state.labels.rows().iter();
         let here = labels
             .filter(|label| is_answer(label) && image_of(label).as_ref() == Some(canvas.image));
         let around = |label: &PlacedLabel| {
@@ -101,14 +102,14 @@ pub(super) fn is_answer(label: &PlacedLabel) -> bool {
 }
 
 /// How many answers are not what was learnt from, by name: new ones, others, and those that are gone.
-fn waiting(now: &BTreeMap<String, PlacedLabel>, learnt: &BTreeMap<String, PlacedLabel>) -> usize {
+fn waiting(now: &KnownLabels, learnt: &BTreeMap<String, PlacedLabel>) -> usize {
     let is_learnt = |label: &PlacedLabel| {
         let known = learnt.get(&label.label);
         known.is_some_and(|known| says_the_same(label, known))
     };
-    let anew = now.values().filter(|label| is_answer(label));
+    let anew = now.rows().iter().filter(|label| is_answer(label));
     let anew = anew.filter(|label| !is_learnt(label)).count();
-    let is_gone = |name: &&String| !now.get(*name).is_some_and(is_answer);
+    let is_gone = |name: &&String| !now.get(name).is_some_and(is_answer);
     anew + learnt.keys().filter(is_gone).count()
 }
 
@@ -229,7 +230,9 @@ mod tests {
             kind: "crossing".into(),
             ..label("other", Some((5, 2.0)))
         };
-        let now = by_name(&[one.clone(), two.clone(), ground, other]);
+        let now: KnownLabels = [one.clone(), two.clone(), ground, other]
+            .into_iter()
+            .collect();
         assert_eq!(waiting(&now, &BTreeMap::new()), 2);
         assert_eq!(waiting(&now, &by_name(&[one.clone(), two.clone()])), 0);
         let turned = PlacedLabel {
