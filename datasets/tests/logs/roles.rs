@@ -264,18 +264,35 @@ async fn of_odometry_topics_the_one_of_the_vehicle_is_read() {
         ("/y/odom", "/b/base_footprint", 5),
         ("/z/odom", "b/base_link", 3),
     ]);
-    for (manifest, topic, told) in [
-        ("", "/x/odom", true),
-        ("defaults: {vehicle_frame: base_link}", "/x/odom", true),
-        ("defaults: {vehicle_frame: c_link}", "/x/odom", true),
-        ("defaults: {vehicle_frame: a/base_link}", "/x/odom", false),
-        ("defaults: {vehicle_frame: /b/base_link}", "/z/odom", false),
+    // Which is read, whether another would do too, and whether the vehicle chose.
+    for (manifest, topic, told, of_vehicle) in [
+        ("", "/x/odom", true, false),
+        (
+            "defaults: {vehicle_frame: base_link}",
+            "/x/odom",
+            true,
+            false,
+        ),
+        ("defaults: {vehicle_frame: c_link}", "/x/odom", true, false),
+        (
+            "defaults: {vehicle_frame: a/base_link}",
+            "/x/odom",
+            false,
+            true,
+        ),
+        (
+            "defaults: {vehicle_frame: /b/base_link}",
+            "/z/odom",
+            false,
+            true,
+        ),
         (
             "defaults: {vehicle_frame: b/base_footprint}",
             "/y/odom",
             false,
+            true,
         ),
-        ("defaults: {vehicle_frame: b/lidar}", "/y/odom", false),
+        ("defaults: {vehicle_frame: b/lidar}", "/y/odom", true, true),
     ] {
         let (_, dataset) = opened_with(&log, manifest).await;
         let session = &dataset.sessions[0];
@@ -292,7 +309,7 @@ async fn of_odometry_topics_the_one_of_the_vehicle_is_read() {
             defaults: session.vehicle.to_manifest(),
             ..Manifest::default()
         };
-        assert_eq!(again.defaults.is_empty(), told, "{manifest}");
+        assert_eq!(again.defaults.is_empty(), !of_vehicle, "{manifest}");
         let (_, again) = opened_by(&log, &again).await.unwrap();
         assert_eq!(again.sessions[0].roles, session.roles);
     }
