@@ -162,7 +162,7 @@ fn loops_are_the_same_where_the_features_do_not_fit_into_memory() {
     };
     let (held, in_file) = made("held", "4GiB");
     assert!(!held.is_empty() && !in_file);
-    assert_eq!(made("fetched", "16MiB"), (held, true));
+    assert_eq!(made("fetched", "32MiB"), (held, true));
 }
 
 /// One loop closure in five says that a keyframe stands where another one stood.

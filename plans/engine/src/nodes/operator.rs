@@ -21,7 +21,8 @@ use arrow::array::RecordBatch;
 use datafusion::common::utils::memory::get_record_batch_memory_size;
 use datafusion::error::Result as DataFusionResult;
 use datafusion::execution::memory_pool::{MemoryConsumer, MemoryReservation};
-use datafusion::execution::{DiskManager, SendableRecordBatchStream, TaskContext};
+use datafusion::execution::runtime_env::RuntimeEnv;
+use datafusion::execution::{SendableRecordBatchStream, TaskContext};
 use datafusion::physical_expr::EquivalenceProperties;
 use datafusion::physical_plan::metrics::{
     BaselineMetrics, Count, MetricBuilder, RecordOutput, Time,
@@ -222,7 +223,7 @@ async fn prepare(
         let rows = table.execute(0, Arc::clone(&context)).or_fault()?;
         let place = |fault: Fault| fault.at(format!("port {}", port.name));
         if port.fetched {
-            let filled = write_rows(port, rows, &memory, &runtime.disk_manager).await;
+            let filled = write_rows(port, rows, &memory, &runtime).await;
             let filled = filled.map_err(place)?;
             metrics.rows.add(rows_in(&filled.catalogue));
             metrics.file_bytes.add(filled.file_bytes as usize);
@@ -270,9 +271,9 @@ async fn write_rows(
     port: &Port,
     mut table: SendableRecordBatchStream,
     memory: &MemoryReservation,
-    disk: &Arc<DiskManager>,
+    runtime: &RuntimeEnv,
 ) -> Result<Filled, Fault> {
-    let mut writer = RowWriter::new(memory, disk);
+    let mut writer = RowWriter::new(memory, runtime);
     while let Some(batch) = table.next().await {
         writer.push(given(&batch.or_fault()?, port)?)?;
     }

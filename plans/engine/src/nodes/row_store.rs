@@ -14,7 +14,8 @@ use arrow::error::ArrowError;
 use arrow::ipc::reader::FileReader;
 use arrow::ipc::writer::FileWriter;
 use datafusion::common::utils::memory::get_record_batch_memory_size;
-use datafusion::execution::memory_pool::MemoryReservation;
+use datafusion::execution::memory_pool::{MemoryLimit, MemoryReservation};
+use datafusion::execution::runtime_env::RuntimeEnv;
 use datafusion::execution::{DiskManager, SpillFile, SpillWriter};
 use evermap_contract::{InMemory, RowStore, catalogue};
 use evermap_schemas::Fault;
@@ -22,10 +23,15 @@ use evermap_schemas::Fault;
 use crate::error::OrFault;
 use crate::locked::locked;
 
+/// A row store holds one in so many bytes of the memory at most: those who make the rows need memory at the same time.
+const SHARE: usize = 4;
+
 /// Puts rows in a row store, batch by batch.
 pub struct RowWriter<'a> {
     memory: &'a MemoryReservation,
-    disk: &'a Arc<DiskManager>,
+    runtime: &'a RuntimeEnv,
+    /// Bytes of rows in memory, at most.
+    most_bytes: usize,
     catalogue: Vec<RecordBatch>,
     rows: u64,
     /// What is in memory as long as there is no file.
@@ -45,11 +51,16 @@ pub struct Filled {
 }
 
 impl<'a> RowWriter<'a> {
-    /// A row store without rows yet. What is in memory is reserved in `memory`.
-    pub fn new(memory: &'a MemoryReservation, disk: &'a Arc<DiskManager>) -> Self {
+    /// A row store without rows yet. What is in memory is reserved in `memory`, of the pool of `runtime`.
+    pub fn new(memory: &'a MemoryReservation, runtime: &'a RuntimeEnv) -> Self {
+        let most_bytes = match runtime.memory_pool.memory_limit() {
+            MemoryLimit::Finite(bytes) => bytes / SHARE,
+            MemoryLimit::Infinite | MemoryLimit::Unknown => usize::MAX,
+        };
         Self {
             memory,
-            disk,
+            runtime,
+            most_bytes,
             catalogue: Vec::new(),
             rows: 0,
             held: Vec::new(),
@@ -67,7 +78,8 @@ impl<'a> RowWriter<'a> {
         let listed_bytes = get_record_batch_memory_size(&listed);
         let bytes = get_record_batch_memory_size(&rows);
         self.rows += rows.num_rows() as u64;
-        if self.file.is_none() && self.memory.try_grow(listed_bytes + bytes).is_ok() {
+        let fit = self.file.is_none() && self.held_bytes + bytes <= self.most_bytes;
+        if fit && self.memory.try_grow(listed_bytes + bytes).is_ok() {
             self.held.push(rows);
             self.held_bytes += bytes;
         } else {
@@ -85,7 +97,7 @@ impl<'a> RowWriter<'a> {
 
     /// A file for rows like these, with those that were held in memory until now.
     fn begun(&mut self, like: &RecordBatch) -> Result<Filing, Fault> {
-        let mut file = Filing::begin(self.disk, like)?;
+        let mut file = Filing::begin(&self.runtime.disk_manager, like)?;
         for rows in self.held.drain(..) {
             file.write(&rows)?;
         }
@@ -241,7 +253,7 @@ mod tests {
         for (memory_bytes, in_file) in [(1 << 30, false), (150_000, true), (40_000, true)] {
             let runtime = runtime(limits(memory_bytes)).unwrap();
             let memory = MemoryConsumer::new("a test").register(&runtime.memory_pool);
-            let mut writer = RowWriter::new(&memory, &runtime.disk_manager);
+            let mut writer = RowWriter::new(&memory, &runtime);
             for batch in images() {
                 writer.push(batch).unwrap();
             }
@@ -270,7 +282,7 @@ mod tests {
     fn a_catalogue_that_finds_no_memory_is_a_fault_of_resources() {
         let runtime = runtime(limits(1)).unwrap();
         let memory = MemoryConsumer::new("a test").register(&runtime.memory_pool);
-        let mut writer = RowWriter::new(&memory, &runtime.disk_manager);
+        let mut writer = RowWriter::new(&memory, &runtime);
         let fault = writer.push(images().remove(0)).unwrap_err();
         assert_eq!(fault.kind, Kind::Resource, "{fault}");
     }

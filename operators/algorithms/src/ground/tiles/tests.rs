@@ -103,8 +103,10 @@ proptest! {
     }
 }
 
-/// Looks at eight cells of a row, grey or in colour, each with its weight.
-fn rows_of_looks() -> impl Strategy<Value = Vec<(bool, Vec<[u8; 3]>, Vec<u8>)>> {
+/// A look at eight cells of a row: whether it is in colour, the cells' colours, and their weights.
+type Look = (bool, Vec<[u8; 3]>, Vec<u8>);
+
+fn rows_of_looks() -> impl Strategy<Value = Vec<Look>> {
     let colours = prop::collection::vec(any::<[u8; 3]>(), 8);
     let weights = prop::collection::vec(any::<u8>(), 8);
     prop::collection::vec((any::<bool>(), colours, weights), 0..6)
@@ -116,7 +118,7 @@ proptest! {
     fn a_grey_look_is_one_of_three_equal_values_in_any_order(
         rows in rows_of_looks(), turn in any::<prop::sample::Index>()
     ) {
-        let sums = |rows: &[(bool, Vec<[u8; 3]>, Vec<u8>)]| {
+        let sums = |rows: &[Look]| {
             let mut sums = TileSum::new();
             for (in_colour, colours, weights) in rows {
                 let grey: Vec<u8> = colours.iter().map(|colour| colour[1]).collect();

@@ -242,13 +242,17 @@ struct Format {
 
 impl Format {
     fn of(kind: &Type) -> Option<Self> {
-        let (of, read): (Type, fn(&[u8]) -> Option<String>) = match *kind {
-            Type::NUMERIC | Type::NUMERIC_ARRAY => (Type::NUMERIC, numeric),
-            Type::UUID | Type::UUID_ARRAY => (Type::UUID, uuid),
-            _ => return None,
-        };
-        let oid = of.oid();
-        Some(Self { oid, read })
+        match *kind {
+            Type::NUMERIC | Type::NUMERIC_ARRAY => Some(Self {
+                oid: Type::NUMERIC.oid(),
+                read: numeric,
+            }),
+            Type::UUID | Type::UUID_ARRAY => Some(Self {
+                oid: Type::UUID.oid(),
+                read: uuid,
+            }),
+            _ => None,
+        }
     }
 
     /// A list of values; `None` where it is none, or one of lists.

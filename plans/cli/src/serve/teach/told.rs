@@ -143,7 +143,7 @@ impl Told {
         let kinds = kinds.chain(
             names
                 .keys()
-                .filter_map(|label| Some(self.state.labels.get(*label)?.kind.clone())),
+                .filter_map(|label| Some(self.state.labels.get(label)?.kind.clone())),
         );
         let kinds = kinds.collect();
         if !said.acts.is_empty() {
