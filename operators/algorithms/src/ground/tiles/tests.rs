@@ -38,7 +38,7 @@ fn mosaic(looks: &[Look]) -> Tiles {
     tiles
 }
 
-fn looks() -> impl Strategy<Value = Vec<Look>> {
+fn looks() -> impl Strategy<Value = Vec<ColouredLook>> {
     prop::collection::vec((-4..4i64, 254..258i64, any::<u8>(), any::<u8>()), 0..40)
 }
 
@@ -104,9 +104,9 @@ proptest! {
 }
 
 /// A look at eight cells of a row: whether it is in colour, the cells' colours, and their weights.
-type Look = (bool, Vec<[u8; 3]>, Vec<u8>);
+type ColouredLook = (bool, Vec<[u8; 3]>, Vec<u8>);
 
-fn rows_of_looks() -> impl Strategy<Value = Vec<Look>> {
+fn rows_of_looks() -> impl Strategy<Value = Vec<ColouredLook>> {
     let colours = prop::collection::vec(any::<[u8; 3]>(), 8);
     let weights = prop::collection::vec(any::<u8>(), 8);
     prop::collection::vec((any::<bool>(), colours, weights), 0..6)
@@ -118,7 +118,7 @@ proptest! {
     fn a_grey_look_is_one_of_three_equal_values_in_any_order(
         rows in rows_of_looks(), turn in any::<prop::sample::Index>()
     ) {
-        let sums = |rows: &[Look]| {
+        let sums = |rows: &[ColouredLook]| {
             let mut sums = TileSum::new();
             for (in_colour, colours, weights) in rows {
                 let grey: Vec<u8> = colours.iter().map(|colour| colour[1]).collect();
