@@ -34,9 +34,9 @@ def health(http, of):
 def until(ask):
     """What is free again is known soon after its client has gone."""
     end = time.monotonic() + 30
-    while not ask() and time.monotonic() < end:
+    while not ask():
+        assert time.monotonic() < end
         time.sleep(0.1)
-    assert ask()
 
 
 def main(http, postgres):

@@ -459,8 +459,8 @@ def main(what, host):
     said = ask(f"{here}/lot", {"author": "bob", "features": feature("crossing", [[0, 8], [3, 9], [5, 8]], shape="LineString")})[1]
     assert {label["shape"] for label in said["labels"]} == {"box", "polyline"}, said
     # There is no image to learn from, and nothing is found.
-    status, learnt = ask(f"{here}/lot/spot?revision={said['revision']}&searched=true")
-    assert status == 200 and learnt["hypotheses"] == [] and learnt["revision"] >= said["revision"], learnt
+    status, searched = ask(f"{here}/lot/spot?revision={said['revision']}&searched=true")
+    assert status == 200 and searched["hypotheses"] == [] and searched["revision"] >= said["revision"], searched
 
     before = ask(f"{here}/lot")[1]
     for author in ["../ada", "a/b", "", "  ", "..", "x" * 65, "a\u0000b", ".hidden"]:
