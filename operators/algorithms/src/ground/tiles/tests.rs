@@ -38,7 +38,7 @@ fn mosaic(looks: &[Look]) -> Tiles {
     tiles
 }
 
-fn looks() -> impl Strategy<Value = Vec<ColouredLook>> {
+fn looks() -> impl Strategy<Value = Vec<Look>> {
     prop::collection::vec((-4..4i64, 254..258i64, any::<u8>(), any::<u8>()), 0..40)
 }
 
