@@ -8,6 +8,16 @@ use evermap_datasets::log::record::{MAGIC, split};
 use evermap_tests::{Finished, command, evermap, text, write_nothing};
 use serde_json::{Value, json};
 
+/// The header of a message that was recorded when it was sent.
+fn header(channel_id: u16, sequence: u32, time: u64) -> mcap::records::MessageHeader {
+    mcap::records::MessageHeader {
+        channel_id,
+        sequence,
+        log_time: time,
+        publish_time: time,
+    }
+}
+
 /// Writes a log of ten seconds: odometry at 10 Hz with nothing between 4 and 6 s, two mounted cameras of which the
 /// rear one records nothing, one image a second, a topic that nobody reads.
 fn write(path: &Path) {
@@ -63,12 +73,7 @@ fn write(path: &Path) {
     let start = 1_700_000_000_000_000_000_u64;
     let send = |log: &mut mcap::Writer<_>, channel_id: u16, tenth: u64, message: Value| {
         let time = start + tenth * 100_000_000;
-        let header = mcap::records::MessageHeader {
-            channel_id,
-            sequence: 0,
-            log_time: time,
-            publish_time: time,
-        };
+        let header = header(channel_id, 0, time);
         let mut message = message;
         message["timestamp"] = json!({"sec": time / 1_000_000_000, "nsec": time % 1_000_000_000});
         log.write_to_known_channel(&header, message.to_string().as_bytes())
@@ -389,12 +394,7 @@ fn a_flipped_bit_outside_chunks_is_told() {
     let mut log = options.create(file).unwrap();
     let schema = log.add_schema("S", "jsonschema", b"{\"type\": \"object\"}");
     let channel = log.add_channel(schema.unwrap(), "/a", "json", &Default::default());
-    let header = mcap::records::MessageHeader {
-        channel_id: channel.unwrap(),
-        sequence: 0,
-        log_time: 1,
-        publish_time: 1,
-    };
+    let header = header(channel.unwrap(), 0, 1);
     let attachment = mcap::Attachment {
         log_time: 1,
         create_time: 1,
@@ -435,12 +435,7 @@ fn messages_that_went_with_a_chunk_are_told_by_inspect_and_queries() {
     let channel = log.add_channel(0, "/a", "json", &Default::default());
     let channel_id = channel.unwrap();
     for sequence in 0..40 {
-        let header = mcap::records::MessageHeader {
-            channel_id,
-            sequence,
-            log_time: sequence.into(),
-            publish_time: sequence.into(),
-        };
+        let header = header(channel_id, sequence, sequence.into());
         log.write_to_known_channel(&header, b"{}").unwrap();
     }
     log.finish().unwrap();
@@ -557,12 +552,7 @@ fn a_run_tells_of_a_flipped_bit_outside_chunks_and_remembers_it() {
             "orientation": {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0},
         }});
         let time = 1_700_000_000_000_000_000 + u64::from(tenth) * 100_000_000;
-        let header = mcap::records::MessageHeader {
-            channel_id,
-            sequence: tenth,
-            log_time: time,
-            publish_time: time,
-        };
+        let header = header(channel_id, tenth, time);
         log.write_to_known_channel(&header, message.to_string().as_bytes())
             .unwrap();
     }
@@ -604,12 +594,7 @@ fn messages_that_no_checksum_covers_are_told() {
         let file = std::fs::File::create(&path).unwrap();
         let mut log = options.create(file).unwrap();
         let channel = log.add_channel(0, "/a", "json", &Default::default());
-        let header = mcap::records::MessageHeader {
-            channel_id: channel.unwrap(),
-            sequence: 0,
-            log_time: 1,
-            publish_time: 1,
-        };
+        let header = header(channel.unwrap(), 0, 1);
         log.write_to_known_channel(&header, b"{}").unwrap();
         log.finish().unwrap();
         evermap(&["inspect", text(&path)]).expect(0).stdout
@@ -628,12 +613,7 @@ fn names_that_break_a_line_are_escaped() {
     let schema = log.add_schema("S\n", "jsonschema", b"{\"type\": \"object\"}");
     let topic = "/a\nloss\tat byte 7";
     let channel = log.add_channel(schema.unwrap(), topic, "json", &Default::default());
-    let header = mcap::records::MessageHeader {
-        channel_id: channel.unwrap(),
-        sequence: 0,
-        log_time: 1,
-        publish_time: 1,
-    };
+    let header = header(channel.unwrap(), 0, 1);
     log.write_to_known_channel(&header, b"{}").unwrap();
     let metadata = mcap::records::Metadata {
         name: "of\nit".to_owned(),
@@ -682,12 +662,7 @@ fn write_moving(path: &Path, transforms: &[(&str, &str, f64)]) {
                 "rotation": {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0},
             });
             let time = 1_700_000_000_000_000_000 + u64::from(tenth) * 100_000_000;
-            let header = mcap::records::MessageHeader {
-                channel_id,
-                sequence: tenth,
-                log_time: time,
-                publish_time: time,
-            };
+            let header = header(channel_id, tenth, time);
             log.write_to_known_channel(&header, message.to_string().as_bytes())
                 .unwrap();
         }
@@ -824,12 +799,7 @@ fn write_topics(path: &Path, topics: &[(&str, &str, Value, Vec<Value>)]) {
         let channel_id = channel.unwrap();
         for (message, tenth) in messages.iter().zip(0_u32..) {
             let time = 1_700_000_000_000_000_000 + u64::from(tenth) * 100_000_000;
-            let header = mcap::records::MessageHeader {
-                channel_id,
-                sequence: tenth,
-                log_time: time,
-                publish_time: time,
-            };
+            let header = header(channel_id, tenth, time);
             log.write_to_known_channel(&header, message.to_string().as_bytes())
                 .unwrap();
         }

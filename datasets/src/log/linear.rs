@@ -23,6 +23,8 @@ mod checksum;
 mod chunks;
 mod counts;
 
+pub(super) use counts::as_said;
+
 /// Messages outside chunks are read in runs of this many bytes.
 const RUN: u64 = 1 << 20;
 

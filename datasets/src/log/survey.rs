@@ -32,7 +32,7 @@ impl LogIndex {
         if let (Some(said), Some(counted)) = (said, counted)
             && said != counted
         {
-            let detail = format!("expected {said} messages as the summary says, found {counted}");
+            let detail = linear::as_said(said, counted);
             losses.note(Reason::BadSummary, meta.size, Loss::one(0), detail);
         }
         Ok(Some(found))

@@ -61,6 +61,7 @@ impl Scan<'_> {
     }
 }
 
-fn as_said(said: u64, found: u64) -> String {
+/// That a file holds another number of messages than its summary says.
+pub(in crate::log) fn as_said(said: u64, found: u64) -> String {
     format!("expected {said} messages as the summary says, found {found}")
 }

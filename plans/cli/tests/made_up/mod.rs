@@ -165,6 +165,22 @@ fn stored<T: LayerRow>(
     }
 }
 
+/// The first version of a map, of one session.
+fn first_version(layers: BTreeMap<String, StoredLayer>) -> Version {
+    Version {
+        version: 1,
+        parent: 0,
+        program: String::new(),
+        previous: Default::default(),
+        plan: "car_park".into(),
+        evermap: "0.1.0".into(),
+        published: "2026-06-01T08:00:00+00:00".into(),
+        sessions: vec![session("initial")],
+        layers,
+        losses: BTreeMap::new(),
+    }
+}
+
 fn session(name: &str) -> MappedSession {
     let log = LogContent {
         session: name.into(),
@@ -268,21 +284,10 @@ pub async fn metric_map(folder: &Path) {
 pub async fn map_in_colour(folder: &Path) {
     let store = Store::open(folder.to_str().unwrap(), true).unwrap();
     let tiles = tiles(png::ColorType::Rgba);
-    let version = Version {
-        version: 1,
-        parent: 0,
-        program: String::new(),
-        previous: Default::default(),
-        plan: "car_park".into(),
-        evermap: "0.1.0".into(),
-        published: "2026-06-01T08:00:00+00:00".into(),
-        sessions: vec![session("initial")],
-        layers: BTreeMap::from([(
-            "overhead_tiles".to_owned(),
-            stored(folder, Some("overhead_tiles"), None, tiles),
-        )]),
-        losses: BTreeMap::new(),
-    };
+    let version = first_version(BTreeMap::from([(
+        "overhead_tiles".to_owned(),
+        stored(folder, Some("overhead_tiles"), None, tiles),
+    )]));
     version.publish(&store).await.unwrap();
 }
 
@@ -312,18 +317,7 @@ pub async fn map(folder: &Path) {
             stored(folder, None, Some("initial"), poses("initial", 18.3, 200)),
         ),
     ]);
-    let first = Version {
-        version: 1,
-        parent: 0,
-        program: String::new(),
-        previous: Default::default(),
-        plan: "car_park".into(),
-        evermap: "0.1.0".into(),
-        published: "2026-06-01T08:00:00+00:00".into(),
-        sessions: vec![session("initial")],
-        layers: layers.clone(),
-        losses: BTreeMap::new(),
-    };
+    let first = first_version(layers.clone());
     first.publish(&store).await.unwrap();
     let more = stored(
         folder,

@@ -13,7 +13,7 @@ use serde_json::{Value, json};
 
 use crate::annotate::seen::PixelBox;
 use crate::serve::access::Who;
-use crate::serve::http::teach::{OfImage, said, size};
+use crate::serve::http::teach::{OfImage, canvas, said};
 use crate::serve::http::{App, Asks, MapOf, Refusal, named};
 use crate::serve::teach::{Canvas, Site};
 
@@ -30,11 +30,7 @@ pub async fn on_image(
 ) -> Result<Json<Value>, Refusal> {
     let site = app.teaching()?.site(&map, named(&path, "site")).await?;
     let image = named_image(&path, of)?;
-    let size = app.within(size(&map, &image)).await?;
-    let canvas = Canvas {
-        image: &image,
-        size,
-    };
+    let canvas = canvas(&app, &map, &image).await?;
     Ok(Json(people_on(&site, &canvas).await))
 }
 
@@ -66,14 +62,9 @@ pub async fn draw(
     let Json(drawing) = drawing?;
     let site = teaching.site(&map, named(&path, "site")).await?;
     let image = named_image(&path, of)?;
-    let size = app.within(size(&map, &image)).await?;
-    let canvas = Canvas {
-        image: &image,
-        size,
-    };
-    let author = user.or(drawing.author);
-    let author = author.as_deref().unwrap_or(&teaching.author);
-    let saved = site.draw(author, &canvas, &drawing.boxes).await?;
+    let canvas = canvas(&app, &map, &image).await?;
+    let author = teaching.author_of(user, drawing.author);
+    let saved = site.draw(&author, &canvas, &drawing.boxes).await?;
     Ok(said(saved, people_on(&site, &canvas).await))
 }
 

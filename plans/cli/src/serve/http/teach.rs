@@ -146,8 +146,7 @@ pub async fn say(
     let teaching = app.teaching()?;
     let Json(saying) = saying?;
     let site = teaching.site(&map, named(&path, "site")).await?;
-    let author = user.or(saying.author);
-    let author = author.as_deref().unwrap_or(&teaching.author);
+    let author = teaching.author_of(user, saying.author);
     let mut losses = Losses::default();
     let features = geojson::features(&saying.features, &mut losses)?;
     if !losses.lines.is_empty() {
@@ -157,16 +156,12 @@ pub async fn say(
     }
     let (saved, answer) = match of.key()? {
         Some(image) => {
-            let size = app.within(size(&map, &image)).await?;
-            let canvas = Canvas {
-                image: &image,
-                size,
-            };
-            let saved = site.paint(author, &canvas, &features).await?;
+            let canvas = canvas(&app, &map, &image).await?;
+            let saved = site.paint(&author, &canvas, &features).await?;
             (saved, paint_of(&site, &image).await)
         }
         None => {
-            let saved = site.say(author, &features).await?;
+            let saved = site.say(&author, &features).await?;
             (saved, labels_of(&site).await)
         }
     };
@@ -197,8 +192,18 @@ async fn labels_of(site: &Site) -> Value {
     json!({ "version": found.version, "revision": found.revision, "labels": labels })
 }
 
+/// An image of the newest version, to draw on.
+pub(super) async fn canvas<'i>(
+    app: &App,
+    map: &ServedMap,
+    image: &'i ImageKey,
+) -> Result<Canvas<'i>, Fault> {
+    let size = app.within(size(map, image)).await?;
+    Ok(Canvas { image, size })
+}
+
 /// Width and height of an image of the newest version.
-pub(super) async fn size(map: &ServedMap, image: &ImageKey) -> Result<[u32; 2], Fault> {
+async fn size(map: &ServedMap, image: &ImageKey) -> Result<[u32; 2], Fault> {
     let opened = map.newest().await?;
     let bytes = file(&opened.reader, &opened.context, image).await?;
     image_size(&bytes).map_err(|error| Fault::data(error.to_string()))

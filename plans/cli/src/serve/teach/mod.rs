@@ -89,6 +89,11 @@ impl Teaching {
         })
     }
 
+    /// Who speaks: the user, where the server knows users, else who is named.
+    pub fn author_of(&self, user: Option<String>, named: Option<String>) -> String {
+        user.or(named).unwrap_or_else(|| self.author.clone())
+    }
+
     /// A site of a map as it is now.
     ///
     /// # Errors
