@@ -6,7 +6,9 @@ use evermap_algorithms::metric_map::places::{self, Loop, LoopOptions};
 use evermap_contract::{Emit, Fault, Key, Operator, Port, Reach, Sides, Work};
 use evermap_schemas::layers::{Features, Keyframe, LoopClosure, Track};
 
-use crate::inputs::drive::{Drive, FeaturedImage, FetchedFeatures, StoredRows, stored_drives, tracks};
+use crate::inputs::drive::{
+    Drive, FeaturedImage, FetchedFeatures, StoredRows, stored_drives, tracks,
+};
 use crate::inputs::rig::{self, OfVehicle};
 
 /// See the module's page.
