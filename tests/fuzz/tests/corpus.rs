@@ -4,7 +4,7 @@
 
 use std::path::Path;
 
-use evermap_fuzz::TARGETS;
+use evermap_fuzz::{TARGETS, Target};
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
@@ -53,20 +53,31 @@ fn mutated(inputs: &[Vec<u8>], random: &mut ChaCha8Rng) -> Vec<u8> {
     bytes
 }
 
+/// Gives a target its corpus, and what is like it.
+fn fed(name: &str, target: Target, seed: u64) {
+    let inputs = corpus(name);
+    inputs.iter().for_each(|input| target(input));
+    let mut random = ChaCha8Rng::seed_from_u64(seed);
+    let many = if SLOW.contains(&name) {
+        MUTATED_SLOWLY
+    } else {
+        MUTATED
+    };
+    for _ in 0..many {
+        target(&mutated(&inputs, &mut random));
+    }
+}
+
+/// Each target in a thread of its own, whose name a panic tells.
 #[test]
 fn every_target_comes_back_from_the_corpus_and_what_is_like_it() {
     let seed = evermap_test_data::seed();
-    for (name, target) in TARGETS {
-        let inputs = corpus(name);
-        inputs.iter().for_each(|input| target(input));
-        let mut random = ChaCha8Rng::seed_from_u64(seed);
-        let many = if SLOW.contains(&name) {
-            MUTATED_SLOWLY
-        } else {
-            MUTATED
-        };
-        for _ in 0..many {
-            target(&mutated(&inputs, &mut random));
+    std::thread::scope(|scope| {
+        for (name, target) in TARGETS {
+            let thread = std::thread::Builder::new().name(name.to_owned());
+            thread
+                .spawn_scoped(scope, move || fed(name, target, seed))
+                .unwrap();
         }
-    }
+    });
 }
