@@ -260,20 +260,23 @@ fn assert_not_merged(map: &Path, folder: &Path, name: &str, session: &Path) -> P
     aside
 }
 
-/// A simulated street of 90 m, driven once.
-fn street(folder: &Path) -> PathBuf {
-    let out = folder.join("world_street");
-    let small = [
-        "length_m=90",
-        "visits=1",
-        "spacing_m=0.75",
-        "width_px=768",
-        "height_px=250",
-    ];
-    simulate("street", &out, &small);
-    let session = out.join("street.mcap");
-    std::fs::rename(out.join("visit_a").join("visit_a.mcap"), &session).unwrap();
-    session
+/// The log of a simulated street of 90 m, driven once, which the tests share.
+fn street() -> &'static Path {
+    static STREET: OnceLock<PathBuf> = OnceLock::new();
+    STREET.get_or_init(|| {
+        let out = made_once(env!("CARGO_TARGET_TMPDIR"), "metric_map_street");
+        let small = [
+            "length_m=90",
+            "visits=1",
+            "spacing_m=0.75",
+            "width_px=768",
+            "height_px=250",
+        ];
+        simulate("street", &out, &small);
+        let session = out.join("street.mcap");
+        std::fs::rename(out.join("visit_a").join("visit_a.mcap"), &session).unwrap();
+        session
+    })
 }
 
 #[test]
@@ -286,7 +289,7 @@ fn another_place_is_not_merged() {
         let (other, _) = Park::new(folder.path(), seed).drive(index, name, &["loops=0.4"]);
         assert_not_merged(map, folder.path(), name, &other);
     }
-    let beside = assert_not_merged(map, folder.path(), "street", &street(folder.path()));
+    let beside = assert_not_merged(map, folder.path(), "street", street());
     let error = adjusted_error("beside another place", &beside, None, truths);
     assert!(error.position_m.rmse <= first.position_m.rmse + 0.01);
     if let Some(stretch) = Stretch::find() {
@@ -299,7 +302,7 @@ fn another_place_is_not_merged() {
 fn neither_a_car_park_nor_a_road_is_merged_into_a_street() {
     let folder = tempfile::tempdir().unwrap();
     let map = folder.path().join("map");
-    run_small("metric_map", &map, &[&street(folder.path())]);
+    run_small("metric_map", &map, &[street()]);
     let (park, _) = Park::new(folder.path(), 14).drive(4, "park", &["loops=0.4"]);
     assert_not_merged(&map, folder.path(), "park", &park);
     if let Some(stretch) = Stretch::find() {
