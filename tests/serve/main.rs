@@ -5,16 +5,25 @@
 
 use std::collections::BTreeMap;
 use std::io::{Read, Write};
-use std::path::Path;
+use std::path::{Path, PathBuf};
+use std::sync::OnceLock;
 
 use evermap_tests::asked::AskedStreet;
-use evermap_tests::server::{Server, bounded, drive, map, script};
+use evermap_tests::park::{copy, made_once};
+use evermap_tests::server::{self, Server, bounded, drive, script};
 use evermap_tests::{Finished, command, evermap, plan_command, simulate, text};
 use evermap_vision::{Grey, decode_labels};
 use serde_json::{Value, json};
 
 /// The driver of JDBC, where Debian has it.
 const JDBC: &str = "/usr/share/java/postgresql.jar";
+
+/// A copy, in this folder, of a map of two drives: the tests share it and its logs, which are not to be changed.
+fn map(folder: &Path) -> PathBuf {
+    static MAP: OnceLock<PathBuf> = OnceLock::new();
+    let made = || server::map(&made_once(env!("CARGO_TARGET_TMPDIR"), "serve"));
+    copy(MAP.get_or_init(made), folder, "map")
+}
 
 fn ended(name: &str, arguments: &[&str]) {
     if let Some(mut script) = script(name, arguments) {
@@ -195,7 +204,7 @@ fn a_server_stays_at_the_newest_whole_version_where_the_next_is_torn() {
 #[test]
 fn a_version_that_gc_forgets_meanwhile_is_not_answered_in_part() {
     let folder = tempfile::tempdir().unwrap();
-    let map = map(folder.path());
+    let map = server::map(folder.path());
     let server = Server::start(&map, &[]);
     let second = || got(&server, "/layers/lanes?format=csv&version=2");
     assert!(second().starts_with("HTTP/1.1 200"), "{}", second());
@@ -227,7 +236,7 @@ fn a_version_that_gc_forgets_meanwhile_is_not_answered_in_part() {
 #[test]
 fn files_that_are_replaced_while_a_version_is_open_are_noticed() {
     let folder = tempfile::tempdir().unwrap();
-    let map = map(folder.path());
+    let map = server::map(folder.path());
     let server = Server::start(&map, &[]);
     let answer = |query: &str| {
         let answer = asked(&server, query);
@@ -276,7 +285,7 @@ fn files_that_are_replaced_while_a_version_is_open_are_noticed() {
 #[test]
 fn a_prepared_statement_notices_files_that_are_replaced() {
     let folder = tempfile::tempdir().unwrap();
-    let map = map(folder.path());
+    let map = server::map(folder.path());
     let server = Server::start(&map, &[]);
     let arguments = [server.postgres.as_str(), text(&map), text(folder.path())];
     ended("serve/prepared.py", &arguments);
