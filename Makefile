@@ -42,7 +42,7 @@ release: packages
 
 # The library for Python is built by its own tests, which load it from Python; a program of Rust cannot.
 test: test-packages .venv/complete
-	EVERMAP_PYTHON=$(CURDIR)/.venv/bin/python cargo test --workspace --exclude evermap-python --locked --lib --bins --tests
+	EVERMAP_PYTHON=$(CURDIR)/.venv/bin/python cargo test --workspace --exclude evermap-python --locked --tests
 	cargo test --workspace --exclude evermap-python --locked --doc
 
 # A macro declares the files of operators, so that cargo fmt does not find them.

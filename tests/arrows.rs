@@ -7,7 +7,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
-use cargo_metadata::{DependencyKind, MetadataCommand};
+use cargo_metadata::{DependencyKind, Metadata, MetadataCommand};
 
 /// How far a wall reaches.
 #[derive(Clone, Copy, PartialEq)]
@@ -247,6 +247,15 @@ fn matches(name: &str, patterns: &[&str]) -> bool {
         })
 }
 
+/// What Cargo says of our crates.
+fn metadata() -> Metadata {
+    MetadataCommand::new()
+        .manifest_path(root().join("Cargo.toml"))
+        .no_deps()
+        .exec()
+        .unwrap()
+}
+
 /// What each of our crates depends on: our folders and others' names.
 #[derive(Default)]
 struct House {
@@ -257,11 +266,7 @@ struct House {
 
 impl House {
     fn read() -> Self {
-        let metadata = MetadataCommand::new()
-            .manifest_path(root().join("Cargo.toml"))
-            .no_deps()
-            .exec()
-            .unwrap();
+        let metadata = metadata();
         let root = metadata.workspace_root.canonicalize_utf8().unwrap();
         let folder = |path: &cargo_metadata::camino::Utf8Path| {
             path.canonicalize_utf8()
@@ -437,6 +442,44 @@ fn every_crate_is_a_member_and_takes_the_workspace_lints() {
             text.contains("[lints]\nworkspace = true"),
             "{folder} does not take the workspace's lints"
         );
+    }
+}
+
+/// A program of tests is linked with all that its crate stands on: none is made of a library or program that has no tests,
+/// and where `test = false` says so, there are none.
+#[test]
+fn programs_of_tests_are_built_where_there_are_tests() {
+    let is_test = |line: &str| {
+        let marks = ["#[test]", "#[tokio::test", "proptest! {"];
+        marks.iter().any(|mark| line.trim_start().starts_with(mark))
+    };
+    for package in metadata().packages {
+        let has_library = package.targets.iter().any(|target| target.is_lib());
+        for target in &package.targets {
+            let of_another_kind = [
+                target.is_test(),
+                target.is_bench(),
+                target.is_example(),
+                target.is_custom_build(),
+            ];
+            if of_another_kind.contains(&true) {
+                continue;
+            }
+            let path = target.src_path.as_std_path();
+            let sources = match target.is_bin() && has_library {
+                true => vec![path.to_owned()],
+                false => files(path.parent().unwrap(), ".rs"),
+            };
+            let has_tests = sources.iter().any(|source| {
+                let text = std::fs::read_to_string(source).unwrap();
+                text.lines().any(is_test)
+            });
+            assert_eq!(
+                target.test, has_tests,
+                "{} of {}: whether it is tested, and has tests",
+                target.name, package.name
+            );
+        }
     }
 }
 
