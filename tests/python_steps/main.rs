@@ -177,6 +177,11 @@ fn a_test_finds_what_is_no_function_of_its_rows() {
             "made other rows of one row at a time",
         ),
         (
+            "digits",
+            "grain: rows",
+            "expected f64, found 9007199254740993",
+        ),
+        (
             "nameless",
             "grain: rows",
             "expected a column x, found stamp",
