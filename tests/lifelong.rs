@@ -484,6 +484,30 @@ fn a_replaced_log_is_a_new_session_and_its_old_rows_are_not_read() {
 }
 
 #[test]
+fn a_recording_that_is_overwritten_by_another_one_is_told() {
+    let world = World::new();
+    let b = world.drive("b", 30.0);
+    world.run(&[&world.drive("a", 20.0), &b]);
+    let told = |expected: bool| {
+        let said = world.run(&[&b]).stderr;
+        let another = "warning: session b has another recording now, of 2023-11-15T22:13:20+00:00";
+        assert_eq!(said.contains(another), expected, "{said}");
+        said
+    };
+    told(false);
+    // Of the same time: the drive, written anew.
+    world.drive("b", 40.0);
+    told(false);
+    let next_day = rectangle(40.0, 10.0, 1.0).into_iter();
+    let next_day = next_day.map(|(seconds, x, y, yaw)| (seconds + 86_400.0, x, y, yaw));
+    write_drive(&b, next_day);
+    let said = told(true);
+    assert!(said.contains("that of 2023-11-14T22:13:20"), "{said}");
+    assert!(said.contains("b.mcap, and is no longer part of"), "{said}");
+    told(false);
+}
+
+#[test]
 fn a_session_given_again_stays_at_its_site() {
     let world = World::new();
     let a = world.drive("a", 20.0);

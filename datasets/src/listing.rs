@@ -95,14 +95,14 @@ fn table<T: Record>(rows: Vec<T>) -> Result<Arc<dyn TableProvider>, Fault> {
 
 fn session_row(session: &Session) -> SessionRow {
     let parts = &session.parts;
-    let ranges = || parts.iter().filter_map(|part| part.index.time_range());
+    let times = session.time_range();
     SessionRow {
         session: session.name.to_string(),
         site: session.site.to_string(),
         files: parts.iter().map(|part| part.url.clone()).collect(),
         bytes: parts.iter().map(|part| part.meta.size).sum(),
-        start_time: ranges().map(|(start, _)| Stamp(start)).min(),
-        end_time: ranges().map(|(_, end)| Stamp(end)).max(),
+        start_time: times.map(|(start, _)| Stamp(start)),
+        end_time: times.map(|(_, end)| Stamp(end)),
         messages: parts.iter().map(|part| part.index.message_count()).sum(),
     }
 }

@@ -50,6 +50,12 @@ impl Session {
             .collect()
     }
 
+    /// Earliest and latest log time, ns; `None` where there are no messages.
+    pub fn time_range(&self) -> Option<(i64, i64)> {
+        let ranges = self.parts.iter().filter_map(|part| part.index.time_range());
+        ranges.reduce(|(start, end), (from, to)| (start.min(from), end.max(to)))
+    }
+
     /// The roles that topics with messages play.
     pub fn played(&self) -> BTreeSet<String> {
         let roles = self.roles.to_manifest().into_keys();

@@ -5,6 +5,7 @@
 
 use std::path::{Path, PathBuf};
 
+use evermap_tests::server::Server;
 use evermap_tests::{
     Finished, command, plan_command, rectangle, repository, simulate, text, write_drive,
 };
@@ -176,6 +177,11 @@ fn a_test_finds_what_is_no_function_of_its_rows() {
             "made other rows of one row at a time",
         ),
         (
+            "digits",
+            "grain: rows",
+            "expected f64, found 9007199254740993",
+        ),
+        (
             "nameless",
             "grain: rows",
             "expected a column x, found stamp",
@@ -244,6 +250,42 @@ fn rows_of_another_session_or_site_end_the_step() {
     bench.run(&plan, &drive).expect(0);
     let sessions = bench.query("SELECT count(DISTINCT session) AS n FROM made");
     assert_eq!(sessions[0]["n"], 2);
+}
+
+#[test]
+fn sessions_of_equal_rows_have_each_their_own() {
+    let Some(bench) = Bench::new() else { return };
+    let drives = ["monday.mcap", "tuesday.mcap"].map(|name| bench.drive(name, 0.2));
+    let step = "grain: session\n    output: { stamp: time }\n  counted:\n    sql: SELECT count(*) AS n FROM made";
+    let plan = bench.plan("nameless", step, "");
+    let text_of_plan = std::fs::read_to_string(&plan).unwrap();
+    let all = text_of_plan.replace("write: [made]", "write: [speeds, made, counted]");
+    std::fs::write(&plan, all).unwrap();
+    let sessions = ["--sessions", text(&drives[0]), text(&drives[1])];
+    bench.run_into("map", &plan, &sessions).expect(0);
+    let contents = bench.contents("map", "made");
+    assert_eq!(contents.len(), 2);
+    assert_eq!(contents[0], contents[1], "one file is stored");
+
+    let count = |query: &str| bench.query(query)[0]["n"].clone();
+    let rows = count("SELECT count(*) AS n FROM speeds");
+    assert!(rows.as_u64().unwrap() > 2, "{rows}");
+    let stamps = "SELECT count(*) AS n FROM (SELECT stamp, count(*) AS n FROM made GROUP BY stamp) WHERE n = 2";
+    assert_eq!(count(stamps).as_u64().unwrap() * 2, rows);
+    for query in [
+        "SELECT count(*) AS n FROM made",
+        "SELECT n FROM counted",
+        "SELECT rows AS n FROM layers WHERE layer = 'made'",
+    ] {
+        assert_eq!(count(query), rows, "{query}");
+    }
+    let server = Server::start(&bench.path("map"), &[]);
+    let answer = server.got("/sql?format=csv&query=SELECT+count(*)+AS+n+FROM+made");
+    assert!(answer.contains(&format!("\n{rows}\n")), "{answer}");
+    let layer = server.got("/layers/made?format=csv");
+    let stamps = layer.split_once("stamp").unwrap().1.lines();
+    let stamps = stamps.filter(|line| line.contains(':')).count() as u64;
+    assert_eq!(stamps, rows, "{layer}");
 }
 
 #[test]

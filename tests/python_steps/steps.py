@@ -65,6 +65,11 @@ def numbered(speeds):
     return {"x": [float(row) for row in range(len(speeds))]}
 
 
+def digits(speeds):
+    """Whole numbers that no number of floating point is."""
+    return {"x": [2**53 + 1 for _ in range(len(speeds))]}
+
+
 def of_others(speeds, column, name=None):
     """Rows that say they are of another session or site."""
     rows = {column: speeds[column].to_pylist() for column in ("site", "session")}

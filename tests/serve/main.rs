@@ -192,7 +192,7 @@ fn a_server_stays_at_the_newest_whole_version_where_the_next_is_torn() {
     let lanes = sql(&map, "SELECT count(*) AS n FROM lanes");
     let expected = format!("n\n{}\n", lanes[0]["n"]);
     for _ in 0..3 {
-        let answer = got(&server, query);
+        let answer = server.got(query);
         assert!(answer.starts_with("HTTP/1.1 200"), "{answer}");
         assert!(answer.ends_with(&expected), "{answer}");
     }
@@ -206,7 +206,7 @@ fn a_version_that_gc_forgets_meanwhile_is_not_answered_in_part() {
     let folder = tempfile::tempdir().unwrap();
     let map = server::map(folder.path());
     let server = Server::start(&map, &[]);
-    let second = || got(&server, "/layers/lanes?format=csv&version=2");
+    let second = || server.got("/layers/lanes?format=csv&version=2");
     assert!(second().starts_with("HTTP/1.1 200"), "{}", second());
     drive(folder.path(), &map, "wednesday", 28.0);
     let lanes = |version: &str| {
@@ -227,7 +227,7 @@ fn a_version_that_gc_forgets_meanwhile_is_not_answered_in_part() {
             "{answer}"
         );
     }
-    let newest = got(&server, "/layers/lanes?format=csv");
+    let newest = server.got("/layers/lanes?format=csv");
     assert!(newest.starts_with("HTTP/1.1 200"), "{newest}");
 }
 
@@ -299,7 +299,7 @@ fn a_map_is_reached_by_its_name_whatever_letters_are_in_it() {
     let named = folder.path().join("kärte #2");
     std::fs::rename(&made, &named).unwrap();
     let server = Server::start(&named, &[]);
-    let got = |path: &str| got(&server, path);
+    let got = |path: &str| server.got(path);
     let listed = got("/maps");
     let body = listed.split_once("\r\n\r\n").unwrap().1;
     let listed: Value = serde_json::from_str(body).unwrap();
@@ -376,16 +376,6 @@ fn asked(server: &Server, query: &str) -> String {
     answer
 }
 
-/// What `GET` is answered.
-fn got(server: &Server, address: &str) -> String {
-    let mut stream = std::net::TcpStream::connect(&server.http).unwrap();
-    let request = format!("GET {address} HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n\r\n");
-    stream.write_all(request.as_bytes()).unwrap();
-    let mut answer = String::new();
-    stream.read_to_string(&mut answer).unwrap();
-    answer
-}
-
 /// It is the server's disk that has no room, and nothing that the client asked.
 #[test]
 fn a_folder_of_temporary_files_that_is_gone_is_named_and_no_fault_of_who_asks() {
@@ -396,7 +386,7 @@ fn a_folder_of_temporary_files_that_is_gone_is_named_and_no_fault_of_who_asks() 
     let server = Server::start_in(&temporary, &map, &[]);
     std::fs::remove_dir_all(&temporary).unwrap();
     let query = "SELECT%20sin(value)%20AS%20x%20FROM%20generate_series(1,100000)";
-    let answered = |format: &str| got(&server, &format!("/sql?format={format}&query={query}"));
+    let answered = |format: &str| server.got(&format!("/sql?format={format}&query={query}"));
     for format in ["json", "csv", "parquet"] {
         let answer = answered(format);
         assert!(answer.starts_with("HTTP/1.1 503 "), "{format}: {answer}");
@@ -454,7 +444,7 @@ fn a_query_that_only_takes_time_leaves_its_thread_soon_after_its_end() {
         rests(&patient),
         "a thread computes on for a client that is gone"
     );
-    let told = got(&patient, "/metrics");
+    let told = patient.got("/metrics");
     assert!(told.contains("evermap_queries_free 32\n"), "{told}");
     drop(patient);
 

@@ -1,6 +1,7 @@
 //! Maps to be served, and the server.
 
-use std::io::{BufRead, BufReader, Read};
+use std::io::{BufRead, BufReader, Read, Write};
+use std::net::TcpStream;
 use std::path::{Path, PathBuf};
 use std::process::{Child, ChildStderr, Command, Stdio};
 
@@ -49,6 +50,17 @@ impl Server {
             program,
             said,
         }
+    }
+
+    /// What `GET` is answered.
+    pub fn got(&self, address: &str) -> String {
+        let mut stream = TcpStream::connect(&self.http).unwrap();
+        let request =
+            format!("GET {address} HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n\r\n");
+        stream.write_all(request.as_bytes()).unwrap();
+        let mut answer = String::new();
+        stream.read_to_string(&mut answer).unwrap();
+        answer
     }
 
     /// Stops it; what it has said since it serves.

@@ -7,6 +7,7 @@ use arrow::array::{Array, ArrayRef, AsArray, RecordBatch};
 use arrow::compute::kernels::cmp::distinct;
 use arrow::compute::{CastOptions, can_cast_types, cast, cast_with_options};
 use arrow::datatypes::{DataType, Field, FieldRef, Float64Type, Schema, SchemaRef};
+use arrow::util::display::array_value_to_string;
 use evermap_schemas::{Column, Fault, Layer, column, type_name};
 
 /// The batch with just the layer's columns, in its order and types; null in those that it does not have and that may be
@@ -52,7 +53,8 @@ fn converted(found: &[ArrayRef], schema: &SchemaRef) -> Result<RecordBatch, Faul
     Ok(RecordBatch::try_new(Arc::clone(schema), columns)?)
 }
 
-/// The column in another type. No value becomes null on the way, and no number loses its fraction.
+/// The column in another type. No value becomes null on the way, no number loses its fraction, and no whole one its last
+/// digits.
 ///
 /// # Errors
 /// A data fault for types that do not convert, and for a value that the type does not hold.
@@ -74,41 +76,75 @@ pub fn convert(array: &ArrayRef, to: &DataType) -> Result<ArrayRef, Fault> {
         let reason = reason.trim_start_matches("Cast error: ");
         Fault::data(format!("{}: {reason}", expected()))
     })?;
-    match fraction(array, &converted)? {
+    match lost(array, &converted)? {
         Some(value) => Err(Fault::data(format!("{}, found {value}", expected()))),
         None => Ok(converted),
     }
 }
 
-/// A number with a fraction that became a whole one.
-fn fraction(from: &ArrayRef, to: &ArrayRef) -> Result<Option<f64>, Fault> {
+/// The first value, as text, that became another one: whole numbers are kept as they are; others may be rounded, and not
+/// become infinite. (Instants are brought to nanoseconds, which casts check.)
+fn lost(from: &ArrayRef, to: &ArrayRef) -> Result<Option<String>, Fault> {
     match (from.data_type(), to.data_type()) {
-        (found, whole) if found.is_floating() && whole.is_integer() => {
+        (DataType::Dictionary(_, values), _) => lost(&cast(from, values)?, to),
+        (found, kept) if found == kept || found.is_integer() && kept.is_integer() => Ok(None),
+        (found, kept) if found.is_floating() && kept.is_floating() => {
+            first(from, infinite(from, to)?)
+        }
+        (found, kept) if are_numbers(found, kept) && (is_whole(found) || is_whole(kept)) => {
             let back = cast(to, found)?;
             let changed = distinct(&back, from)?;
-            let first = changed.values().set_indices().next();
-            let value = |row| cast(&from.slice(row, 1), &DataType::Float64);
-            let value = first.map(value).transpose()?;
-            Ok(value.map(|one| one.as_primitive::<Float64Type>().value(0)))
+            first(from, changed.values().set_indices().next())
         }
         (DataType::Struct(_), DataType::Struct(fields)) => {
             for (field, to) in fields.iter().zip(to.as_struct().columns()) {
                 let found = from.as_struct().column_by_name(field.name());
-                if let Some(value) = found.map_or(Ok(None), |from| fraction(from, to))? {
+                if let Some(value) = found.map_or(Ok(None), |from| lost(from, to))? {
                     return Ok(Some(value));
                 }
             }
             Ok(None)
         }
         (DataType::List(_), DataType::List(_)) => {
-            fraction(from.as_list::<i32>().values(), to.as_list::<i32>().values())
+            lost(from.as_list::<i32>().values(), to.as_list::<i32>().values())
         }
-        (DataType::FixedSizeList(..), DataType::FixedSizeList(..)) => fraction(
+        (DataType::LargeList(_), DataType::List(_)) => {
+            lost(from.as_list::<i64>().values(), to.as_list::<i32>().values())
+        }
+        (DataType::FixedSizeList(..), DataType::FixedSizeList(..)) => lost(
             from.as_fixed_size_list().values(),
             to.as_fixed_size_list().values(),
         ),
         _ => Ok(None),
     }
+}
+
+fn are_numbers(found: &DataType, kept: &DataType) -> bool {
+    found.is_numeric() && kept.is_numeric()
+}
+
+fn is_whole(kind: &DataType) -> bool {
+    match kind {
+        DataType::Decimal128(_, scale) | DataType::Decimal256(_, scale) => *scale <= 0,
+        kind => kind.is_integer(),
+    }
+}
+
+/// The row of the first number that became infinite.
+fn infinite(from: &ArrayRef, to: &ArrayRef) -> Result<Option<usize>, Fault> {
+    let [from, to] = [from, to].map(|numbers| cast(numbers, &DataType::Float64));
+    let (from, to) = (from?, to?);
+    let to = to.as_primitive::<Float64Type>();
+    let mut rows = from.as_primitive::<Float64Type>().iter().zip(to);
+    Ok(rows.position(|(found, kept)| {
+        found.is_some_and(f64::is_finite) && kept.is_some_and(f64::is_infinite)
+    }))
+}
+
+/// The value of a row, as text.
+fn first(values: &ArrayRef, row: Option<usize>) -> Result<Option<String>, Fault> {
+    let value = row.map(|row| array_value_to_string(values, row));
+    Ok(value.transpose()?)
 }
 
 /// The batch with one more column behind its own, which may hold nulls.
@@ -151,7 +187,9 @@ fn fits(from: &DataType, to: &DataType) -> bool {
             from.find(field.name())
                 .is_some_and(|(_, found)| fits(found.data_type(), field.data_type()))
         }),
-        (DataType::List(from), DataType::List(to)) => fits(from.data_type(), to.data_type()),
+        (DataType::List(from) | DataType::LargeList(from), DataType::List(to)) => {
+            fits(from.data_type(), to.data_type())
+        }
         (DataType::FixedSizeList(from, n), DataType::FixedSizeList(to, m)) => {
             n == m && fits(from.data_type(), to.data_type())
         }
@@ -206,8 +244,9 @@ pub fn with_metadata(
 mod tests {
     #![allow(clippy::unwrap_used)]
     use arrow::array::{
-        BooleanArray, FixedSizeListArray, Float32Array, Float64Array, Int64Array, ListArray,
-        StringArray, StructArray, new_empty_array,
+        BooleanArray, Decimal128Array, FixedSizeListArray, Float32Array, Float64Array, Int64Array,
+        LargeListArray, ListArray, StringArray, StructArray, TimestampMicrosecondArray,
+        UInt64Array, new_empty_array,
     };
     use arrow::datatypes::Int32Type;
     use evermap_schemas::roles::Calibration;
@@ -249,6 +288,79 @@ mod tests {
         let pair = FixedSizeListArray::new(item(DataType::Float64), 2, pair, None);
         let whole = DataType::FixedSizeList(item(DataType::Int32), 2);
         assert!(told(pair, &whole).contains("found 2.5"));
+    }
+
+    #[test]
+    fn whole_numbers_keep_their_last_digits_and_no_number_becomes_infinite() {
+        const FIRST: i64 = (1 << 53) + 1;
+        let whole = |value: i64| Int64Array::from(vec![Some(1), None, Some(value)]);
+        let decimal = |value: i128, scale: i8| {
+            let values = Decimal128Array::from(vec![value]);
+            values.with_precision_and_scale(20, scale).unwrap()
+        };
+        let (single, double) = (DataType::Float32, DataType::Float64);
+        let refused = [
+            (told(whole(FIRST), &double), "f64, found 9007199254740993"),
+            (told(whole(-FIRST), &double), "f64, found -9007199254740993"),
+            (
+                told(whole(i64::MAX), &double),
+                "f64, found 9223372036854775807",
+            ),
+            (
+                told(UInt64Array::from(vec![u64::MAX]), &double),
+                "f64, found 18446744073709551615",
+            ),
+            (told(whole((1 << 24) + 1), &single), "f32, found 16777217"),
+            (
+                told(Float64Array::from(vec![1.0, 1e300]), &single),
+                "f32, found 1e300",
+            ),
+            (
+                told(UInt64Array::from(vec![u64::MAX]), &DataType::Int64),
+                "expected i64",
+            ),
+            (told(decimal(150, 2), &DataType::Int64), "i64, found 1.50"),
+            (
+                told(decimal(FIRST.into(), 0), &double),
+                "f64, found 9007199254740993",
+            ),
+        ];
+        for (said, expected) in refused {
+            assert!(said.contains(expected), "{said}: {expected}");
+        }
+        let keys = DataType::Dictionary(DataType::Int8.into(), double.clone().into());
+        let dictionary = cast(&Float64Array::from(vec![0.5]), &keys).unwrap();
+        assert!(convert(&dictionary, &DataType::Int32).is_err());
+        let far = TimestampMicrosecondArray::from(vec![i64::MAX]);
+        assert!(told(far, &Stamp::data_type()).contains("verflow"));
+        let item = |kind| Arc::new(Field::new_list_field(kind, true));
+        let lists = vec![Some(vec![Some(1), None]), None];
+        let large = LargeListArray::from_iter_primitive::<Float64Type, _, _>(vec![Some(vec![
+            Some(1.0),
+            Some(0.5),
+        ])]);
+        let said = told(large, &DataType::List(item(DataType::Int32)));
+        assert!(said.contains("found 0.5"), "{said}");
+
+        let kept: [(ArrayRef, DataType); 6] = [
+            (Arc::new(whole(FIRST - 1)), double.clone()),
+            (Arc::new(whole(i64::MIN)), double.clone()),
+            (Arc::new(whole(1 << 24)), single.clone()),
+            (
+                Arc::new(Float64Array::from(vec![f64::INFINITY, f64::NAN])),
+                single,
+            ),
+            (Arc::new(decimal(333_333_333_333_333_333, 18)), double),
+            (
+                Arc::new(LargeListArray::from_iter_primitive::<Int32Type, _, _>(
+                    lists,
+                )),
+                DataType::List(item(DataType::Float64)),
+            ),
+        ];
+        for (values, to) in kept {
+            assert!(convert(&values, &to).is_ok(), "{to}");
+        }
     }
 
     #[test]

@@ -14,7 +14,7 @@ use evermap_datasets::{Dataset, Manifest, Reason, Recordings};
 use evermap_language::{Plan, PlanFaults, Source};
 use evermap_schemas::Fault;
 
-use self::given::{coming, joining};
+use self::given::{coming, joining, overwritten};
 use self::host::Surroundings;
 pub use self::host::vocabulary;
 pub use self::manifest::located;
@@ -179,6 +179,8 @@ pub struct Prepared {
     pub idle: Vec<(String, Lacks)>,
     /// Sessions that take the place of another log of the same name, at another place.
     pub replaced: Vec<Replaced>,
+    /// Sessions whose log holds another recording than the version before was made from, in sentences.
+    pub overwritten: Vec<String>,
     /// Files among those given that cannot be read, with a reason each: they take no part.
     pub unreadable: BTreeMap<String, u64>,
 }
@@ -278,6 +280,7 @@ impl Prepared {
             unreadable: unreadable(&given),
             idle,
             replaced,
+            overwritten: overwritten(before, &sessions),
             given: given
                 .sessions
                 .iter()

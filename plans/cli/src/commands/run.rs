@@ -44,8 +44,8 @@ pub async fn run(args: &RunArgs, unfinished: &Unfinished) -> Ending {
         .warnings
         .iter()
         .for_each(|warning| line(&format!("warning: {warning}")));
-    let unknown = prepared.unknown.iter();
-    unknown.for_each(|unknown| line(&format!("warning: {unknown}")));
+    let warnings = prepared.unknown.iter().chain(&prepared.overwritten);
+    warnings.for_each(|warning| line(&format!("warning: {warning}")));
     let notes = prepared.notes.iter();
     notes.for_each(|note| line(&format!("note: {note}")));
     warn_of_missing(&prepared);

@@ -191,6 +191,7 @@ fn session(name: &str) -> MappedSession {
     MappedSession {
         log,
         manifest: Default::default(),
+        times: None,
     }
 }
 

@@ -21,9 +21,6 @@ use crate::unit::Unit;
 /// How often it is noted, and looked, how far a unit has come.
 pub const EVERY: Duration = Duration::from_secs(5);
 
-/// How long a unit takes at least that leaves a note.
-const SHORTEST: Duration = Duration::from_secs(1);
-
 /// How long a note is not renewed until whoever left it is taken for dead. Clocks do not count.
 const DEAD: Duration = Duration::from_secs(20);
 
@@ -46,13 +43,12 @@ fn name(unit: &Unit) -> Result<String, Fault> {
     Ok(format!("{TEMPORARY}/{}{ENDING}", unit.recipe.digest()?))
 }
 
-/// Does a unit's work, and notes from time to time how far it has come. Done twice, it leaves the same.
+/// Does a unit's work, and notes that it has begun, and from time to time how far it has come. Done twice, it leaves the same.
 ///
 /// # Errors
 /// Whatever stops it, as [`Unit::compute`]; that the store does not take what it made.
 pub async fn run(unit: &Unit, registry: &Registry) -> Result<Receipt, Fault> {
     let (store, name) = (Store::open(&unit.store, false)?, name(unit)?);
-    let begun = Instant::now();
     let (tell, told) = watch::channel(None);
     let work = async {
         let advanced = |share| {
@@ -60,36 +56,49 @@ pub async fn run(unit: &Unit, registry: &Registry) -> Result<Receipt, Fault> {
         };
         unit.compute(registry, advanced).await?.keep().await
     };
+    noted(&store, &name, &told, work).await
+}
+
+/// What comes of work that there is a note of from its beginning to its end.
+async fn noted<T>(
+    store: &Store,
+    name: &str,
+    told: &watch::Receiver<Option<f64>>,
+    work: impl Future<Output = T>,
+) -> T {
+    // Another run may be started at any time: what has no note is begun a second time.
+    write(store, name, told).await;
     let done = tokio::select! {
         done = work => done,
-        never = keep_noting(&store, &name, &told, [SHORTEST, EVERY]) => match never {},
+        never = keep_noting(store, name, told, EVERY) => match never {},
     };
-    if begun.elapsed() >= SHORTEST
-        && let Err(fault) = store.remove(&name).await
-    {
+    if let Err(fault) = store.remove(name).await {
         tracing::debug!("{name} is not removed: {fault}");
     }
     done
 }
 
-/// Notes what is told, first and then every so long, for as long as it is waited for.
+/// Notes what is told, every so long, for as long as it is waited for.
 async fn keep_noting(
     store: &Store,
     name: &str,
     told: &watch::Receiver<Option<f64>>,
-    [first, every]: [Duration; 2],
+    every: Duration,
 ) -> Infallible {
-    let mut pause = first;
     loop {
-        tokio::time::sleep(std::mem::replace(&mut pause, every)).await;
-        let share = *told.borrow();
-        let note = Note {
-            share,
-            at: Utc::now(),
-        };
-        if let Err(fault) = store.cache_json(name, &note).await {
-            tracing::debug!("{name} is not noted: {fault}");
-        }
+        tokio::time::sleep(every).await;
+        write(store, name, told).await;
+    }
+}
+
+async fn write(store: &Store, name: &str, told: &watch::Receiver<Option<f64>>) {
+    let share = *told.borrow();
+    let note = Note {
+        share,
+        at: Utc::now(),
+    };
+    if let Err(fault) = store.cache_json(name, &note).await {
+        tracing::debug!("{name} is not noted: {fault}");
     }
 }
 
@@ -214,7 +223,7 @@ mod tests {
         tell.send_replace(Some(0.25));
         let every = Duration::from_millis(5);
         while at_work().await.is_empty() {
-            let noting = keep_noting(&store, &names[1], &told, [every; 2]);
+            let noting = keep_noting(&store, &names[1], &told, every);
             let _ = tokio::time::timeout(Duration::from_millis(100), noting).await;
         }
         let old = Note {
@@ -231,6 +240,19 @@ mod tests {
         store.write_json(&names[0], &unknown).await.unwrap();
         let both = [(0, None), (1, Some(0.25))];
         assert_eq!(shares().await, both);
+    }
+
+    #[tokio::test]
+    async fn work_has_a_note_from_its_beginning_to_its_end() {
+        let folder = tempfile::tempdir().unwrap();
+        let store = Store::open(folder.path().to_str().unwrap(), true).unwrap();
+        let unit = unit(&store, "a");
+        let name = name(&unit).unwrap();
+        let units = BTreeMap::from([(0, unit)]);
+        let (_tell, told) = watch::channel(None);
+        let seen = noted(&store, &name, &told, at_work(&units)).await.unwrap();
+        assert_eq!(seen.keys().collect::<Vec<_>>(), [&0]);
+        assert!(at_work(&units).await.unwrap().is_empty());
     }
 
     #[test]

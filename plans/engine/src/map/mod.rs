@@ -18,6 +18,7 @@ mod parameters;
 mod parts;
 pub mod receipt;
 mod records;
+mod repeated;
 mod rows;
 mod sealed;
 pub mod sound;

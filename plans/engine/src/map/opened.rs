@@ -213,7 +213,7 @@ impl Map {
         {
             return Ok(Some(log.clone()));
         }
-        let Some(MappedSession { log, manifest }) = self.session(session) else {
+        let Some(MappedSession { log, manifest, .. }) = self.session(session) else {
             return Ok(None);
         };
         let log = open_mapped(&self.store, runtime, manifest, log).await?;

@@ -14,7 +14,7 @@ use crate::program::{Scope, Stage};
 use crate::unit::work::NodeWork;
 
 /// Raised when artifacts of the same recipe would come out differently for reasons no operator's version tells.
-const FORMAT: u32 = 10;
+const FORMAT: u32 = 11;
 
 /// Why something is not what would come out today.
 pub const OTHER_FORMAT: &str = "it was made by an evermap whose files have another format";

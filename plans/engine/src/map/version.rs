@@ -59,6 +59,9 @@ pub struct MappedSession {
     pub log: LogContent,
     /// Where the log was when it was mapped, as a manifest of this one session.
     pub manifest: Manifest,
+    /// Earliest and latest log time, ns; null where there are no messages, and in versions that are older than this.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub times: Option<(i64, i64)>,
 }
 
 impl MappedSession {

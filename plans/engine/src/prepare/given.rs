@@ -2,6 +2,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
+use chrono::DateTime;
 use evermap_datasets::manifest::{Bits, SessionFiles};
 use evermap_datasets::{Manifest, Session};
 use evermap_schemas::Fault;
@@ -9,13 +10,14 @@ use evermap_schemas::Fault;
 use super::Replaced;
 use crate::digest::digest_of;
 use crate::map::receipt::LogContent;
-use crate::map::version::MappedSession;
+use crate::map::version::{MappedSession, Version};
 
 /// A session that a run is given.
 pub struct Given {
     name: String,
     site: String,
     manifest: Manifest,
+    times: Option<(i64, i64)>,
 }
 
 /// Sessions that a run is given, which `manifest` may say the sites of, beside those that the map has.
@@ -34,6 +36,7 @@ pub fn joining(
             name: session.name.to_string(),
             manifest: manifest_of(session, &site),
             site,
+            times: session.time_range(),
         }
     };
     sessions.iter().map(given).collect()
@@ -55,9 +58,14 @@ impl Given {
             content,
             roles: digest_of_tables(&self.manifest)?,
         };
-        let manifest = self.manifest;
-        let now = MappedSession { log, manifest };
         let before = mapped.get(&self.name);
+        // What was noted of a log stays, so that a version is not another one for it.
+        let known = before.filter(|before| before.log.content == log.content);
+        let now = MappedSession {
+            times: known.and_then(|known| known.times).or(self.times),
+            manifest: self.manifest,
+            log,
+        };
         let replaced = before.and_then(|before| replaces(&now, before));
         mapped.insert(self.name, now);
         Ok(replaced)
@@ -81,24 +89,52 @@ pub fn coming<'a>(
     stay.chain(join.map(|given| (given.name.as_str(), &given.manifest, given.site.as_str())))
 }
 
+/// That logs of a version hold another recording by now than it was made from, in sentences: a log that has no time in common
+/// with what it was is not that one grown, or written anew.
+pub fn overwritten(base: Option<&Version>, sessions: &[MappedSession]) -> Vec<String> {
+    let before = base.into_iter().flat_map(|base| &base.sessions);
+    let told = before.filter_map(|before| {
+        let now = MappedSession::named(sessions, &before.log.session)?;
+        let (then, since) = (before.times?, now.times?);
+        let apart = then.1 < since.0 || since.1 < then.0;
+        (apart && share_files(before, now)).then(|| {
+            format!(
+                "session {} has another recording now, of {}: that of {} was overwritten in {}, and is no longer part of the map; give each recording a file of its own to keep both",
+                now.log.session,
+                in_words(since),
+                in_words(then),
+                files(now).join(", ")
+            )
+        })
+    });
+    told.collect()
+}
+
+/// From when to when, in UTC.
+fn in_words((start, end): (i64, i64)) -> String {
+    let [start, end] = [start, end].map(|ns| DateTime::from_timestamp_nanos(ns).to_rfc3339());
+    format!("{start} to {end}")
+}
+
 /// That a log takes the place of another one.
 fn replaces(now: &MappedSession, before: &MappedSession) -> Option<Replaced> {
-    let files = |session: &MappedSession| -> Vec<String> {
-        let files = session
-            .manifest
-            .sessions
-            .iter()
-            .flat_map(|session| &session.files);
-        files.cloned().collect()
-    };
-    let (there, here) = (files(before), files(now));
-    let same =
-        now.log.content == before.log.content || there.iter().any(|file| here.contains(file));
+    let same = now.log.content == before.log.content || share_files(before, now);
     (!same).then(|| Replaced {
         session: now.log.session.clone(),
-        before: there.join(", "),
-        now: here.join(", "),
+        before: files(before).join(", "),
+        now: files(now).join(", "),
     })
+}
+
+/// Where a session's log is.
+fn files(session: &MappedSession) -> Vec<String> {
+    let sessions = session.manifest.sessions.iter();
+    sessions.flat_map(|session| session.files.clone()).collect()
+}
+
+fn share_files(one: &MappedSession, other: &MappedSession) -> bool {
+    let others = files(other);
+    files(one).iter().any(|file| others.contains(file))
 }
 
 /// The site of a session: what is said now, else what was said when it was mapped, else its own.

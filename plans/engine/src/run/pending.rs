@@ -245,6 +245,7 @@ mod tests {
                 roles: String::new(),
             },
             manifest: Manifest::default(),
+            times: None,
         }
     }
 

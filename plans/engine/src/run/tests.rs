@@ -55,6 +55,7 @@ async fn executed(store: &Store, program: &Program, registry: &Registry) -> RunR
             roles: String::new(),
         },
         manifest: Manifest::default(),
+        times: None,
     };
     let run = Run {
         program,

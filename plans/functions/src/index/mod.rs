@@ -1,5 +1,6 @@
 //! `contains` and `related` on the layer `views`, answered by the layers `class_index` and `relation_index`.
 
+mod door;
 mod names;
 mod relations;
 #[cfg(test)]
@@ -23,6 +24,7 @@ use futures::FutureExt;
 
 use crate::{contains, related};
 
+use door::Door;
 use names::{Names, names, texts};
 use relations::{Relating, RelationIndex};
 use views::Views;
@@ -103,20 +105,14 @@ async fn known_classes(
 
 /// A context with the class index alone, where it is of just these views.
 async fn leaves(context: &SessionContext, of: &Names) -> Result<Option<SessionContext>> {
-    let leaves = alone(context, ClassLeaf::NAME).await?;
+    let leaves = Door::to(context, ClassLeaf::NAME).await?;
+    let leaves = leaves.alone(context)?;
     let indexed = names(
         &leaves,
         "SELECT site, unnest(views) AS view FROM class_index",
     )
     .await?;
     Ok((indexed == *of).then_some(leaves))
-}
-
-/// A context that has one of another's tables.
-async fn alone(context: &SessionContext, table: &str) -> Result<SessionContext> {
-    let one = SessionContext::new();
-    one.register_table(table, context.table_provider(table).await?)?;
-    Ok(one)
 }
 
 /// The rule.

@@ -19,8 +19,9 @@ use evermap_algorithms::semantic_map::semantic_graph::Relation;
 use evermap_schemas::LayerRow;
 use evermap_schemas::layers::RelatedViews;
 
+use super::door::Door;
 use super::names::{Names, digests, texts};
-use super::{alone, text};
+use super::text;
 use crate::related;
 
 /// One class, how it lies, and another class.
@@ -28,6 +29,7 @@ pub(super) type Relating = (String, Relation, String);
 
 /// The index of a map's views, read when it is first asked.
 pub(super) struct RelationIndex {
+    door: Arc<Door>,
     /// A context with the index alone.
     rows: SessionContext,
     names: Names,
@@ -43,13 +45,15 @@ impl RelationIndex {
     /// # Errors
     /// When it cannot be read.
     pub(super) async fn of(context: &SessionContext, names: Names) -> Result<Option<Self>> {
-        let rows = alone(context, RelatedViews::NAME).await?;
+        let door = Door::to(context, RelatedViews::NAME).await?;
+        let rows = door.alone(context)?;
         let said = texts(&rows, "SELECT DISTINCT site, names FROM relation_index").await?;
         let number = said.len();
         let said: BTreeMap<String, String> = said.into_iter().map(|[s, n]| (s, n)).collect();
         // Two digests of one site are of views that cannot both be these.
         let same = said.len() == number && said == digests(&names);
         Ok(same.then(|| Self {
+            door,
             rows,
             names,
             read: OnceLock::new(),
@@ -59,8 +63,10 @@ impl RelationIndex {
     /// The names of the views in which this is so, site by site in their order.
     ///
     /// # Errors
-    /// When the index cannot be read, or has other bits than its views.
+    /// When the index cannot be opened or read, or has other bits than its views.
     pub(super) async fn views(&self, asked: &Relating) -> Result<StringArray> {
+        // What was read stays, and is not answered from where the layer is not what it was.
+        self.door.opened().await?;
         let sets = match self.read.get() {
             Some(sets) => sets,
             None => {

@@ -133,6 +133,29 @@ async fn indexed(leaves: Vec<ClassLeaf>, relations: Vec<RelatedViews>) -> Sessio
 }
 
 #[tokio::test]
+async fn an_index_is_opened_whenever_it_answers() {
+    let context = indexed(leaves(), relations(views())).await;
+    for (index, query) in [
+        (
+            ClassLeaf::NAME,
+            "SELECT view FROM views WHERE contains(graph, 'car')",
+        ),
+        (
+            RelatedViews::NAME,
+            "SELECT view FROM views WHERE related(graph, 'car', 'on', 'road')",
+        ),
+    ] {
+        assert_eq!(rows(&context, query).await.unwrap(), ["car"], "{query}");
+        let table = context.deregister_table(index).unwrap().unwrap();
+        let refused = rows(&context, query).await.unwrap_err();
+        let expected = format!("expected a table {index}, found none");
+        assert!(refused.contains(&expected), "{refused}");
+        context.register_table(index, table).unwrap();
+        assert_eq!(rows(&context, query).await.unwrap(), ["car"], "{query}");
+    }
+}
+
+#[tokio::test]
 async fn a_class_that_no_view_has_is_refused() {
     let context = indexed(leaves(), relations(views())).await;
     for (query, class) in [

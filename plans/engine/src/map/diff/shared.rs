@@ -20,15 +20,22 @@ type Of = fn(&Artifact) -> Option<&str>;
 impl Unshared {
     /// Of the files of either version, whose rows are matched by the columns of a key, or as a whole where it has none.
     ///
-    /// A file that both versions have is left out where its rows match no others: the key has the session, or else the
-    /// site, that it is of, and no file that only one version has is of the same. Rows that are matched as a whole may be
-    /// left out of both sides in any case: as many as before are added, and removed.
+    /// A file that both versions have, as often, is left out where its rows match no others: the key has the session, or
+    /// else the site, that it is of, and no file that only one version has is of the same. Rows that are matched as a whole
+    /// may be left out of both sides in any case: as many as before are added, and removed.
     pub fn of(sides: [&[Artifact]; 2], key: &[&str]) -> Self {
         let all = || sides.into_iter().flatten();
-        let contents: [BTreeSet<&str>; 2] = sides.map(|side| side.iter().map(content).collect());
+        // Units whose rows are equal name one file, which has the rows of each.
+        let times: [BTreeMap<&str, usize>; 2] = sides.map(|side| {
+            let mut times = BTreeMap::new();
+            for artifact in side {
+                *times.entry(content(artifact)).or_insert(0) += 1;
+            }
+            times
+        });
         let in_both = |artifact: &Artifact| {
-            let mut contents = contents.iter();
-            contents.all(|side| side.contains(content(artifact)))
+            let [before, after] = times.each_ref().map(|times| times.get(content(artifact)));
+            before == after
         };
         let of = told_apart_by(sides, key);
         let changed = all().filter(|artifact| !in_both(artifact));
@@ -40,14 +47,12 @@ impl Unshared {
         let read = all().filter(|artifact| !in_both(artifact) || may_match(artifact));
         let read: BTreeSet<&str> = read.map(content).collect();
         let is_read = |artifact: &&Artifact| read.contains(content(artifact));
-        // A file is read once, however often it is named.
-        let unread = all().filter(|artifact| !is_read(artifact));
-        let unread: BTreeMap<&str, u64> = unread
-            .map(|artifact| (content(artifact), artifact.rows))
-            .collect();
+        // As often as before they are there after.
+        let [before, _] = sides;
+        let unread = before.iter().filter(|artifact| !is_read(artifact));
         Self {
             sides: sides.map(|side| side.iter().filter(is_read).cloned().collect()),
-            same: unread.values().sum(),
+            same: unread.map(|artifact| artifact.rows).sum(),
         }
     }
 }
@@ -136,8 +141,19 @@ mod tests {
     fn a_file_that_is_not_of_one_session_is_read_where_any_has_changed() {
         let sides: [&[&str]; 2] = [&["1", "2@a"], &["1", "3@a"]];
         assert_eq!(read(sides, KEY), expected(sides[0], sides[1], 0));
-        let stayed: [&[&str]; 2] = [&["1", "2@a"], &["2@a", "1", "1"]];
+        let stayed: [&[&str]; 2] = [&["1", "2@a"], &["2@a", "1"]];
         assert_eq!(read(stayed, KEY), expected(&[], &[], 20));
         assert_eq!(read(stayed, &["name"]), expected(&[], &[], 20));
+    }
+
+    #[test]
+    fn a_file_that_is_named_more_often_has_rows_that_are_new() {
+        let more: [&[&str]; 2] = [&["1", "2@a"], &["2@a", "1", "1"]];
+        for key in [KEY, &["name"]] {
+            assert_eq!(read(more, key), expected(more[0], more[1], 0));
+        }
+        assert_eq!(read(more, &[]), expected(&["1"], &["1", "1"], 10));
+        let stayed: [&[&str]; 2] = [&["1", "1", "2"], &["1", "3", "1"]];
+        assert_eq!(read(stayed, &[]), expected(&["2"], &["3"], 20));
     }
 }
