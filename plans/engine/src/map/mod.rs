@@ -24,6 +24,7 @@ pub mod sound;
 pub mod store;
 mod table_function;
 pub mod tables;
+mod unread;
 mod verify;
 pub mod version;
 
