@@ -29,7 +29,7 @@ mod yaml;
 
 pub use dataset::Dataset;
 pub use evermap_messages::ros2;
-pub use evermap_recording::{LogWriter, Times, annotations};
+pub use evermap_recording::{LogWriter, Times, annotations, recorder_of};
 pub use images::ImageReader;
 pub use losses::{Loss, LossLedger, Reason};
 pub use manifest::{Manifest, Roles};

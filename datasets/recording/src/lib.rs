@@ -1,6 +1,7 @@
 //! Messages recorded as MCAP: those of ROS 2 that imports and simulated worlds write, and what people say about maps.
 
 pub mod annotations;
+mod recorder;
 
 use evermap_messages::ros2::Message;
 use mcap::records::{MessageHeader, Metadata};
@@ -9,6 +10,8 @@ use std::collections::BTreeMap;
 use std::fs::File;
 use std::io::BufWriter;
 use std::path::{Path, PathBuf};
+
+pub use recorder::recorder_of;
 
 /// How recorders of ROS 2 say that the topic's only message is for all who come later too.
 const LATCHED: (&str, &str) = (
@@ -26,6 +29,19 @@ pub enum RecordingError {
         path: PathBuf,
         /// Why.
         source: std::io::Error,
+    },
+    /// Another program's log, or one of people's, would be lost (the user's to move).
+    #[error(
+        "cannot write {}: expected no log there but of {expected}, found one of {found}; name another file, or move it away",
+        path.display()
+    )]
+    Kept {
+        /// Which file.
+        path: PathBuf,
+        /// Whose log may be replaced.
+        expected: String,
+        /// Whose log is there.
+        found: String,
     },
     /// The MCAP writer refused a message (a bug).
     #[error("cannot write MCAP: {0}")]
@@ -51,12 +67,13 @@ pub struct Times {
 }
 
 impl LogWriter {
-    /// Starts the file `target`, in place of an older one; `library` is named as its writer, `profile` what its channels
-    /// keep to (`ros2`, or nothing).
+    /// Starts the file `target`, in place of an older one of the same program; `library` is named as its writer, `profile`
+    /// what its channels keep to (`ros2`, or nothing).
     ///
     /// # Errors
-    /// [`RecordingError`], as of all that is written.
+    /// [`RecordingError`], as of all that is written, and as [`LogWriter::may_replace`].
     pub fn create(target: &Path, library: &str, profile: &str) -> Result<Self, RecordingError> {
+        Self::may_replace(target, library)?;
         let partial = target.with_extension("mcap.part");
         let file = File::create(&partial).map_err(|error| failed(&partial, error.into()))?;
         let options = WriteOptions::new()
@@ -73,6 +90,21 @@ impl LogWriter {
             partial,
             target: target.to_owned(),
         })
+    }
+
+    /// That no log is at a path, or one that this program has written, in whatever version: a drive cannot be recorded again.
+    ///
+    /// # Errors
+    /// [`RecordingError::Kept`].
+    pub fn may_replace(path: &Path, library: &str) -> Result<(), RecordingError> {
+        match recorder_of(path) {
+            Some(found) if program(&found) != program(library) => Err(RecordingError::Kept {
+                path: path.to_owned(),
+                expected: program(library).to_owned(),
+                found,
+            }),
+            _ => Ok(()),
+        }
     }
 
     /// Declares a topic and gives its channel; `latched` where its only message is for all who come later too.
@@ -165,6 +197,12 @@ impl LogWriter {
         let messages = self.sent.values().map(|sent| u64::from(*sent)).sum();
         Ok((messages, bytes))
     }
+}
+
+/// The name of a program, without its version.
+fn program(library: &str) -> &str {
+    let name = library.split(char::is_numeric).next().unwrap_or(library);
+    name.trim_end()
 }
 
 /// A full disk is a missing resource, and what else the writer refuses is a bug.

@@ -16,7 +16,7 @@ use crate::map::{parts, sealed};
 pub use crate::fingerprint::FileState;
 
 /// The folder of a map that has its versions.
-const VERSIONS: &str = "versions";
+pub const VERSIONS: &str = "versions";
 
 /// A stored stage in a version: a published layer, or something that later runs build on.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
