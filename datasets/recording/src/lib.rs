@@ -53,8 +53,18 @@ pub struct LogWriter {
     writer: Writer<BufWriter<File>>,
     /// Messages so far, by channel.
     sent: BTreeMap<u16, u32>,
-    partial: PathBuf,
+    /// Closed by then.
+    partial: Partial,
     target: PathBuf,
+}
+
+/// A file that is gone with what writes it, unless it has another name by then.
+struct Partial(PathBuf);
+
+impl Drop for Partial {
+    fn drop(&mut self) {
+        let _ = std::fs::remove_file(&self.0);
+    }
 }
 
 /// When something happened, ns since the epoch.
@@ -74,8 +84,8 @@ impl LogWriter {
     /// [`RecordingError`], as of all that is written, and as [`LogWriter::may_replace`].
     pub fn create(target: &Path, library: &str, profile: &str) -> Result<Self, RecordingError> {
         Self::may_replace(target, library)?;
-        let partial = target.with_extension("mcap.part");
-        let file = File::create(&partial).map_err(|error| failed(&partial, error.into()))?;
+        let partial = Partial(target.with_extension("mcap.part"));
+        let file = File::create(&partial.0).map_err(|error| failed(&partial.0, error.into()))?;
         let options = WriteOptions::new()
             .profile(profile)
             .library(library)
@@ -85,7 +95,7 @@ impl LogWriter {
             .chunk_size(Some(1 << 20));
         let writer = options.create(BufWriter::with_capacity(1 << 18, file));
         Ok(Self {
-            writer: writer.map_err(|error| failed(&partial, error))?,
+            writer: writer.map_err(|error| failed(&partial.0, error))?,
             sent: BTreeMap::new(),
             partial,
             target: target.to_owned(),
@@ -139,9 +149,9 @@ impl LogWriter {
         metadata: &BTreeMap<String, String>,
     ) -> Result<u16, RecordingError> {
         let schema = self.writer.add_schema(name, kind, text);
-        let schema = schema.map_err(|error| failed(&self.partial, error))?;
+        let schema = schema.map_err(|error| failed(&self.partial.0, error))?;
         let channel = self.writer.add_channel(schema, topic, encoding, metadata);
-        channel.map_err(|error| failed(&self.partial, error))
+        channel.map_err(|error| failed(&self.partial.0, error))
     }
 
     /// Says what the values of label images mean, by value; nothing where there are none.
@@ -157,7 +167,7 @@ impl LogWriter {
         }
         let name = "label_classes".to_owned();
         let written = self.writer.write_metadata(&Metadata { name, metadata });
-        written.map_err(|error| failed(&self.partial, error))
+        written.map_err(|error| failed(&self.partial.0, error))
     }
 
     /// Writes one encoded message; the caller keeps log times in order.
@@ -179,7 +189,7 @@ impl LogWriter {
         };
         *sent += 1;
         let written = self.writer.write_to_known_channel(&header, payload);
-        written.map_err(|error| failed(&self.partial, error))
+        written.map_err(|error| failed(&self.partial.0, error))
     }
 
     /// Completes the file, gives it its name, and says how many messages and bytes it holds.
@@ -187,12 +197,12 @@ impl LogWriter {
     /// # Errors
     /// [`RecordingError`].
     pub fn finish(mut self) -> Result<(u64, u64), RecordingError> {
-        let fail = |error| failed(&self.partial, error);
+        let fail = |error| failed(&self.partial.0, error);
         self.writer.finish().map_err(fail)?;
         let file = self.writer.into_inner().into_inner();
         let file = file.map_err(|error| fail(error.into_error().into()))?;
         let bytes = file.metadata().map_err(|error| fail(error.into()))?.len();
-        std::fs::rename(&self.partial, &self.target)
+        std::fs::rename(&self.partial.0, &self.target)
             .map_err(|error| failed(&self.target, error.into()))?;
         let messages = self.sent.values().map(|sent| u64::from(*sent)).sum();
         Ok((messages, bytes))
