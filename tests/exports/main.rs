@@ -105,7 +105,7 @@ fn no_output_takes_the_place_of_a_drive_or_of_what_is_the_maps() {
         for command in [
             &["export", "poses", "--format", "csv"][..],
             &["export", "--format", "mcap"],
-            &["sql", "--format", "csv", query],
+            &["sql", "--format", "json", query],
             &["report"],
         ] {
             let whole = [command, &["--map", map, "--out", text(out)]].concat();

@@ -31,7 +31,7 @@ impl Sink {
     /// A file. It appears, or is replaced, when [`Sink::finish`] is called.
     ///
     /// # Errors
-    /// A user fault for a folder that is not there or as [`may_write`], a resource fault when it cannot be written to.
+    /// A user fault for a folder that is not there, a log, and a map's own file, a resource fault when it cannot be written to.
     pub fn file(path: &Path) -> Result<Self, Fault> {
         let fault =
             |error: Error| Fault::resource(format!("cannot write {}: {error}", path.display()));

@@ -29,17 +29,16 @@ impl Unread {
             // Torn, not as it was published, or gone since.
             _ => return Ok(Self::Nobodys),
         };
-        let first = match found.get("version").and_then(Value::as_u64) {
-            Some(other) if other != number => {
-                if is_copy(store, &name, other).await? {
-                    return Ok(Self::Nobodys);
-                }
-                put_right(store, &name, other).await?
+        let holds = found.get("version").and_then(Value::as_u64);
+        let first = if let Some(other) = holds.filter(|holds| *holds != number) {
+            if is_copy(store, &name, other).await? {
+                return Ok(Self::Nobodys);
             }
-            _ if lacks_part(store, &mut found).await? => {
-                format!("run the same plan again, which writes its parts anew, or remove {name}")
-            }
-            _ => format!("use the evermap that wrote it, or remove {name}"),
+            put_right(store, &name, other).await?
+        } else if lacks_part(store, &mut found).await? {
+            format!("run the same plan again, which writes its parts anew, or remove {name}")
+        } else {
+            format!("use the evermap that wrote it, or remove {name}")
         };
         Ok(Self::Kept(Fault {
             message: format!("version {number} does not read: {}", fault.message),
