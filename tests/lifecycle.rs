@@ -553,6 +553,38 @@ fn what_is_no_file_among_logs_is_counted() {
     assert!(refused.contains("found a named pipe"), "{refused}");
 }
 
+/// The system ends who writes beyond the limit, unless somebody listens.
+#[test]
+fn a_limit_of_file_sizes_is_told_and_leaves_nothing_half_written() {
+    let folder = tempfile::tempdir().unwrap();
+    let within = |name: &str| folder.path().join(name);
+    let (map, log) = (within("map"), within("a.mcap"));
+    write_drive(&log, rectangle(60.0, 40.0, 1.0));
+    let refused = |arguments: &[&str]| {
+        let mut shell = Command::new("sh");
+        // Of 512 bytes each, or of 1024.
+        shell.args(["-c", "ulimit -f 4; exec \"$0\" \"$@\""]);
+        shell.arg(program()).args(arguments);
+        let ended = Finished::from(shell.current_dir(repository()).output().unwrap());
+        let told = ended.expect(1).stderr;
+        assert!(told.contains("File too large"), "{arguments:?}: {told}");
+    };
+    let mapped = ["run", PLAN, "--map", text(&map), "--progress", "none"];
+    refused(&[&mapped[..], &["--sessions", text(&log)]].concat());
+    let left = std::fs::read_dir(map.join("tmp")).into_iter().flatten();
+    assert_eq!(left.count(), 0);
+    run(&map, &[&log]).expect(0);
+
+    let (rows, recording) = (within("poses.csv"), within("recording.mcap"));
+    let export = ["export", "--map", text(&map), "--out"];
+    refused(&[&export[..], &[text(&rows), "poses", "--format", "csv"]].concat());
+    refused(&[&export[..], &[text(&recording), "--format", "mcap"]].concat());
+    let there = std::fs::read_dir(folder.path()).unwrap();
+    let mut there: Vec<_> = there.map(|entry| entry.unwrap().file_name()).collect();
+    there.sort();
+    assert_eq!(there, ["a.mcap", "map"]);
+}
+
 #[test]
 fn a_torn_log_is_mapped_as_far_as_it_is_sound_and_the_loss_is_told() {
     let folder = tempfile::tempdir().unwrap();

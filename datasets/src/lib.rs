@@ -29,10 +29,10 @@ mod yaml;
 
 pub use dataset::Dataset;
 pub use evermap_messages::ros2;
-pub use evermap_recording::{LogWriter, Times, annotations};
+pub use evermap_recording::{LogWriter, Times, annotations, recorder_of};
 pub use images::ImageReader;
 pub use losses::{Loss, LossLedger, Reason};
 pub use manifest::{Manifest, Roles};
 pub use recordings::{Recording, Recordings};
 pub use session::{LogPart, Session};
-pub use stores::{LogFile, no_file, read_bytes, read_text};
+pub use stores::{LogFile, no_file, read_bytes, read_text, without_mark};

@@ -138,7 +138,15 @@ pub fn no_file(path: &FilePath) -> std::io::Result<Option<&'static str>> {
 /// What a person wrote is not as large: plans, manifests, labels of other programs.
 const LARGEST_TEXT: u64 = 256 << 20;
 
-/// A file that a person wrote, whole.
+/// What some editors begin a text with: it is no part of it.
+const BYTE_ORDER_MARK: &str = "\u{feff}";
+
+/// A text without the byte order mark that it may begin with.
+pub fn without_mark(text: &str) -> &str {
+    text.strip_prefix(BYTE_ORDER_MARK).unwrap_or(text)
+}
+
+/// A file that a person wrote, whole, without a byte order mark.
 ///
 /// # Errors
 /// What keeps it from being read; that it is a pipe or a device, which might never end, or too large.
@@ -158,6 +166,9 @@ pub fn read_bytes(path: &FilePath) -> std::io::Result<Vec<u8>> {
         return Err(std::io::Error::other(format!(
             "a file of more than {most} MiB"
         )));
+    }
+    if bytes.starts_with(BYTE_ORDER_MARK.as_bytes()) {
+        bytes.drain(..BYTE_ORDER_MARK.len());
     }
     Ok(bytes)
 }
@@ -281,6 +292,19 @@ mod tests {
         let told = read_text(path).map_err(|error| (error.kind(), error.to_string()));
         let said = (std::io::ErrorKind::NotFound, "nothing".to_owned());
         assert_eq!(told, Err(said));
+    }
+
+    #[test]
+    #[allow(clippy::unwrap_used)]
+    fn a_byte_order_mark_is_no_part_of_a_text() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("labels.json");
+        for (written, read) in [("\u{feff}{}", "{}"), ("{\u{feff}}", "{\u{feff}}"), ("", "")] {
+            std::fs::write(&path, written).unwrap();
+            assert_eq!(read_text(&path).unwrap(), read);
+            assert_eq!(read_bytes(&path).unwrap(), read.as_bytes());
+            assert_eq!(without_mark(written), read);
+        }
     }
 
     #[test]

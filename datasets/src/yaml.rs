@@ -7,6 +7,8 @@ use evermap_schemas::Fault;
 use saphyr_parser::{Event, Parser};
 use serde::de::DeserializeOwned;
 
+use crate::stores::without_mark;
+
 /// Bytes of a text at most.
 pub(crate) const LONGEST: usize = 4 << 20;
 
@@ -26,8 +28,8 @@ const FEW: usize = 1_000;
 pub(crate) fn from_yaml<T: DeserializeOwned>(text: &str, what: &str) -> Result<T, Fault> {
     let refused =
         |found: &dyn std::fmt::Display| Fault::user(format!("expected {what}, found {found}"));
-    // Some editors begin files with a byte order mark, which the library takes for a document of its own.
-    let text = text.strip_prefix('\u{feff}').unwrap_or(text);
+    // The library takes it for a document of its own.
+    let text = without_mark(text);
     check(text).map_err(|found| refused(&found))?;
     serde_yaml_ng::from_str(text).map_err(|error| refused(&error))
 }

@@ -88,6 +88,37 @@ fn a_recording_has_what_the_map_says() {
 }
 
 #[test]
+fn no_output_takes_the_place_of_a_drive_or_of_what_is_the_maps() {
+    let folder = tempfile::tempdir().unwrap();
+    let map = map(folder.path());
+    let drive = folder.path().join("monday.mcap");
+    let link = folder.path().join("link.mcap");
+    std::os::unix::fs::symlink(&drive, &link).unwrap();
+    let version = map.join("receipts/../versions/1.json");
+    let (map, query) = (text(&map), "SELECT 1 AS n");
+    for out in [&drive, &link, &version] {
+        let before = std::fs::read(out).unwrap();
+        let says = match out == &version {
+            true => "found one among the files of",
+            false => "expected no log there",
+        };
+        for command in [
+            &["export", "poses", "--format", "csv"][..],
+            &["export", "--format", "mcap"],
+            &["sql", "--format", "json", query],
+            &["report"],
+        ] {
+            let whole = [command, &["--map", map, "--out", text(out)]].concat();
+            let refused = evermap(&whole).expect(1).stderr;
+            assert!(refused.contains(says), "{whole:?}: {refused}");
+            assert!(std::fs::read(out).unwrap() == before, "{whole:?}");
+        }
+    }
+    assert!(link.is_symlink());
+    evermap(&["verify", "--map", map]).expect(0);
+}
+
+#[test]
 fn a_recording_is_of_the_whole_map_and_other_formats_of_a_layer() {
     let folder = tempfile::tempdir().unwrap();
     let map = map(folder.path());

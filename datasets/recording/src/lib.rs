@@ -1,6 +1,7 @@
 //! Messages recorded as MCAP: those of ROS 2 that imports and simulated worlds write, and what people say about maps.
 
 pub mod annotations;
+mod recorder;
 
 use evermap_messages::ros2::Message;
 use mcap::records::{MessageHeader, Metadata};
@@ -9,6 +10,8 @@ use std::collections::BTreeMap;
 use std::fs::File;
 use std::io::BufWriter;
 use std::path::{Path, PathBuf};
+
+pub use recorder::recorder_of;
 
 /// How recorders of ROS 2 say that the topic's only message is for all who come later too.
 const LATCHED: (&str, &str) = (
@@ -27,6 +30,19 @@ pub enum RecordingError {
         /// Why.
         source: std::io::Error,
     },
+    /// Another program's log, or one of people's, would be lost (the user's to move).
+    #[error(
+        "cannot write {}: expected no log there but of {expected}, found one of {found}; name another file, or move it away",
+        path.display()
+    )]
+    Kept {
+        /// Which file.
+        path: PathBuf,
+        /// Whose log may be replaced.
+        expected: String,
+        /// Whose log is there.
+        found: String,
+    },
     /// The MCAP writer refused a message (a bug).
     #[error("cannot write MCAP: {0}")]
     Mcap(McapError),
@@ -37,8 +53,18 @@ pub struct LogWriter {
     writer: Writer<BufWriter<File>>,
     /// Messages so far, by channel.
     sent: BTreeMap<u16, u32>,
-    partial: PathBuf,
+    /// Closed by then.
+    partial: Partial,
     target: PathBuf,
+}
+
+/// A file that is gone with what writes it, unless it has another name by then.
+struct Partial(PathBuf);
+
+impl Drop for Partial {
+    fn drop(&mut self) {
+        let _ = std::fs::remove_file(&self.0);
+    }
 }
 
 /// When something happened, ns since the epoch.
@@ -51,14 +77,15 @@ pub struct Times {
 }
 
 impl LogWriter {
-    /// Starts the file `target`, in place of an older one; `library` is named as its writer, `profile` what its channels
-    /// keep to (`ros2`, or nothing).
+    /// Starts the file `target`, in place of an older one of the same program; `library` is named as its writer, `profile`
+    /// what its channels keep to (`ros2`, or nothing).
     ///
     /// # Errors
-    /// [`RecordingError`], as of all that is written.
+    /// [`RecordingError`], as of all that is written, and as [`LogWriter::may_replace`].
     pub fn create(target: &Path, library: &str, profile: &str) -> Result<Self, RecordingError> {
-        let partial = target.with_extension("mcap.part");
-        let file = File::create(&partial).map_err(|error| failed(&partial, error.into()))?;
+        Self::may_replace(target, library)?;
+        let partial = Partial(target.with_extension("mcap.part"));
+        let file = File::create(&partial.0).map_err(|error| failed(&partial.0, error.into()))?;
         let options = WriteOptions::new()
             .profile(profile)
             .library(library)
@@ -68,11 +95,26 @@ impl LogWriter {
             .chunk_size(Some(1 << 20));
         let writer = options.create(BufWriter::with_capacity(1 << 18, file));
         Ok(Self {
-            writer: writer.map_err(|error| failed(&partial, error))?,
+            writer: writer.map_err(|error| failed(&partial.0, error))?,
             sent: BTreeMap::new(),
             partial,
             target: target.to_owned(),
         })
+    }
+
+    /// That no log is at a path, or one that this program has written, in whatever version: a drive cannot be recorded again.
+    ///
+    /// # Errors
+    /// [`RecordingError::Kept`].
+    pub fn may_replace(path: &Path, library: &str) -> Result<(), RecordingError> {
+        match recorder_of(path) {
+            Some(found) if program(&found) != program(library) => Err(RecordingError::Kept {
+                path: path.to_owned(),
+                expected: program(library).to_owned(),
+                found,
+            }),
+            _ => Ok(()),
+        }
     }
 
     /// Declares a topic and gives its channel; `latched` where its only message is for all who come later too.
@@ -107,9 +149,9 @@ impl LogWriter {
         metadata: &BTreeMap<String, String>,
     ) -> Result<u16, RecordingError> {
         let schema = self.writer.add_schema(name, kind, text);
-        let schema = schema.map_err(|error| failed(&self.partial, error))?;
+        let schema = schema.map_err(|error| failed(&self.partial.0, error))?;
         let channel = self.writer.add_channel(schema, topic, encoding, metadata);
-        channel.map_err(|error| failed(&self.partial, error))
+        channel.map_err(|error| failed(&self.partial.0, error))
     }
 
     /// Says what the values of label images mean, by value; nothing where there are none.
@@ -125,7 +167,7 @@ impl LogWriter {
         }
         let name = "label_classes".to_owned();
         let written = self.writer.write_metadata(&Metadata { name, metadata });
-        written.map_err(|error| failed(&self.partial, error))
+        written.map_err(|error| failed(&self.partial.0, error))
     }
 
     /// Writes one encoded message; the caller keeps log times in order.
@@ -147,7 +189,7 @@ impl LogWriter {
         };
         *sent += 1;
         let written = self.writer.write_to_known_channel(&header, payload);
-        written.map_err(|error| failed(&self.partial, error))
+        written.map_err(|error| failed(&self.partial.0, error))
     }
 
     /// Completes the file, gives it its name, and says how many messages and bytes it holds.
@@ -155,16 +197,22 @@ impl LogWriter {
     /// # Errors
     /// [`RecordingError`].
     pub fn finish(mut self) -> Result<(u64, u64), RecordingError> {
-        let fail = |error| failed(&self.partial, error);
+        let fail = |error| failed(&self.partial.0, error);
         self.writer.finish().map_err(fail)?;
         let file = self.writer.into_inner().into_inner();
         let file = file.map_err(|error| fail(error.into_error().into()))?;
         let bytes = file.metadata().map_err(|error| fail(error.into()))?.len();
-        std::fs::rename(&self.partial, &self.target)
+        std::fs::rename(&self.partial.0, &self.target)
             .map_err(|error| failed(&self.target, error.into()))?;
         let messages = self.sent.values().map(|sent| u64::from(*sent)).sum();
         Ok((messages, bytes))
     }
+}
+
+/// The name of a program, without its version.
+fn program(library: &str) -> &str {
+    let name = library.split(char::is_numeric).next().unwrap_or(library);
+    name.trim_end()
 }
 
 /// A full disk is a missing resource, and what else the writer refuses is a bug.

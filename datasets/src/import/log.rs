@@ -195,7 +195,10 @@ fn send_image(
 }
 
 fn fault(error: RecordingError) -> Fault {
-    Fault::resource(error.to_string())
+    match error {
+        RecordingError::Kept { .. } => Fault::user(error.to_string()),
+        _ => Fault::resource(error.to_string()),
+    }
 }
 
 /// Position, then quaternion.

@@ -50,6 +50,7 @@ pub use labels::ClassNames;
 pub use placement::Placement;
 pub use poses::PoseFormat;
 
+use crate::stores::read_text;
 use crate::yaml::from_yaml;
 use calibration::Intrinsics;
 
@@ -325,13 +326,8 @@ fn image_stamps(cameras: &[log::Camera]) -> Vec<u64> {
     images.map(|(stamp, _)| *stamp).collect()
 }
 
-/// The text of a file, without the byte order mark that some editors begin it with.
+/// The text of a file.
 fn read(path: &Path) -> Result<String, Fault> {
-    let text = std::fs::read_to_string(path).map_err(|error| {
-        Fault::user(format!("expected a file, found {error}")).at(path.display())
-    })?;
-    Ok(match text.strip_prefix('\u{feff}') {
-        Some(text) => text.to_owned(),
-        None => text,
-    })
+    read_text(path)
+        .map_err(|error| Fault::user(format!("expected a file, found {error}")).at(path.display()))
 }

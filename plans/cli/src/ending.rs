@@ -8,7 +8,7 @@
 //! | 3 | done, but something was skipped or lost; each reason is counted on stderr |
 
 use std::collections::BTreeMap;
-use std::io::Write;
+use std::io::{ErrorKind, Write};
 
 use arrow::error::ArrowError;
 use evermap_engine::prepare::Refusal;
@@ -56,12 +56,20 @@ impl From<Refusal> for Failure {
 
 impl From<std::io::Error> for Failure {
     fn from(error: std::io::Error) -> Self {
-        if error.kind() == std::io::ErrorKind::BrokenPipe {
+        if error.kind() == ErrorKind::BrokenPipe {
             return Self::Closed;
         }
         Self::Fault(match error.downcast::<Fault>() {
             Ok(fault) => fault,
-            Err(error) => Fault::resource(format!("cannot write the result: {error}")),
+            Err(error) => {
+                let fault = Fault::resource(format!("cannot write the result: {error}"));
+                match error.kind() {
+                    ErrorKind::FileTooLarge => {
+                        fault.next("raise the limit of file sizes (ulimit -f)")
+                    }
+                    _ => fault,
+                }
+            }
         })
     }
 }

@@ -66,7 +66,7 @@ use tokio::runtime::Runtime;
 use crate::arguments::{Arguments, Command};
 use crate::commands::sql::is_prompt;
 use crate::ending::{DONE, Ending, panicked, tell};
-use crate::stopped::{stopped, terminated};
+use crate::stopped::{live_with_limits, stopped, terminated};
 
 /// Reads the command line, does what it says, and tells how it ended.
 pub fn main() -> std::process::ExitCode {
@@ -109,6 +109,7 @@ pub async fn command(line: impl IntoIterator<Item = OsString>) -> Ending {
 /// Runs a command on the threads of a runtime, unless the person stops it. A map changes only by the last step of a run,
 /// so stopping leaves it as it was, and what was computed is found again.
 async fn until_interrupted(command: Command, runtime: &Runtime) -> Ending {
+    live_with_limits();
     let command = Arc::new(command);
     let own_interrupts = matches!(&*command, Command::Sql(args) if is_prompt(args));
     let asked_to_stop = async {

@@ -3,7 +3,7 @@
 use std::io::{ErrorKind, Read};
 use std::path::Path;
 
-use evermap_datasets::Manifest;
+use evermap_datasets::{Manifest, without_mark};
 use evermap_engine::prepare::PlanText;
 use evermap_language::{PlanFaults, Source, nearest, utf8};
 use evermap_schemas::Fault;
@@ -79,7 +79,7 @@ fn find(name: &str, extended_by: &str) -> Result<Source, String> {
 }
 
 fn source(origin: String, bytes: &[u8]) -> Result<Source, PlanFaults> {
-    let text = utf8(bytes, &origin)?.to_owned();
+    let text = without_mark(utf8(bytes, &origin)?).to_owned();
     Ok(Source { origin, text })
 }
 
@@ -156,6 +156,9 @@ mod tests {
             read(path.to_str().unwrap(), vec![]).unwrap().source.text,
             "plan: a"
         );
+        std::fs::write(&path, "\u{feff}plan: a").unwrap();
+        let marked = read(path.to_str().unwrap(), vec![]).unwrap();
+        assert_eq!(marked.source.text, "plan: a");
     }
 
     #[test]

@@ -18,6 +18,15 @@ pub async fn terminated() {
     }
 }
 
+/// Has what writes beyond the limit of file sizes (`ulimit -f`) be told that the file is too large: the system would end the
+/// program there, in the middle of a file. Once somebody listens, it never does.
+pub fn live_with_limits() {
+    let kind = SignalKind::from_raw(rustix::process::Signal::XFSZ.as_raw());
+    if let Err(error) = signal(kind) {
+        tracing::warn!(%error, ?kind, "a signal is not heard");
+    }
+}
+
 /// Ends with the first signal of a kind; never where the system lets nobody listen.
 async fn heard(kind: SignalKind) {
     match signal(kind) {

@@ -168,6 +168,57 @@ fn every_mistake_is_named() {
     }
 }
 
+/// A child that comes back from the function answers nobody, and ends.
+#[test]
+fn a_function_that_forks_is_answered_by_itself_alone() {
+    if !is_there() {
+        return;
+    }
+    let code = "import multiprocessing, os, time
+def made(speeds, raises):
+    child = os.fork()
+    if child == 0:
+        if raises:
+            raise ValueError('in the child')
+        return {'whose': [0], 'status': [0]}
+    for _ in range(200):
+        ended, status = os.waitpid(child, os.WNOHANG)
+        if ended:
+            break
+        time.sleep(0.05)
+    status = os.waitstatus_to_exitcode(status) if ended else -1
+    with multiprocessing.get_context('fork').Pool(2) as pool:
+        [whose] = pool.map(abs, [-1])
+    return {'whose': [whose], 'status': [status]}
+";
+    for raises in [false, true] {
+        let function = function(code, json!({ "raises": raises }));
+        let environment = function.check().unwrap();
+        for _ in 0..3 {
+            let made = function.call(&environment, &[speeds()]).unwrap();
+            let rows = &made.rows.batches[0];
+            let value = |column: usize| rows.column(column).as_primitive::<Int64Type>().value(0);
+            assert_eq!((value(0), value(1)), (1, i64::from(raises)));
+        }
+    }
+}
+
+#[test]
+fn an_answer_to_another_request_is_refused() {
+    let code = "import json, struct, sys
+def made(speeds):
+    line = json.dumps({'number': 1, 'skipped': {}}).encode()
+    answers = sys._getframe(2).f_locals['answers']
+    answers.write(struct.pack('<I', len(line)) + line)
+    return speeds
+";
+    if is_there() {
+        let said = refused(code, json!({}));
+        let expected = "expected the answer to request 2, found one to request 1";
+        assert!(said.starts_with(expected), "{said}");
+    }
+}
+
 #[test]
 fn another_environment_is_refused() {
     if !is_there() {

@@ -2,7 +2,8 @@
 
 A message is a line of JSON with its length before it (4 bytes), then the tables that the line names, each as an Arrow
 stream with its length before it (8 bytes); numbers are little-endian. The first message has the code. It is answered
-with the digest of the environment; every other one with rows and counts of what was left out, or with an error.
+with the digest of the environment; every other one with rows and counts of what was left out, or with an error. An
+answer has the number of its message.
 """
 
 import hashlib
@@ -184,6 +185,13 @@ def listen(stream, messages):
 def main():
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # who asks is told, and ends this
     requests, answers = os.fdopen(os.dup(0), "rb"), os.fdopen(os.dup(1), "wb")
+    asked, ends = os.getpid(), [requests.fileno(), answers.fileno()]
+
+    def leave():
+        while ends:
+            os.close(ends.pop())
+
+    os.register_at_fork(after_in_child=leave)  # who asks hears of this process alone, and when it ends
     os.dup2(os.open(os.devnull, os.O_RDONLY), 0)
     os.dup2(2, 1)  # what a function prints is for the person who wrote it
     messages = queue.Queue(1)
@@ -191,16 +199,22 @@ def main():
     function, request = None, {}
     while True:
         header, tables = messages.get()
+        table = None
         try:
             if function is None:
                 function, request = load(header), header
-                write_message(answers, {"environment": environment()})
+                answer = {"environment": environment()}
             else:
-                write_message(answers, *call(function, request["params"], header["tables"], tables))
+                answer, table = call(function, request["params"], header["tables"], tables)
+        except BaseException as error:  # SystemExit too: an answer is owed
+            answer = {"error": told(error)}
+        if os.getpid() != asked:  # a child of the function has come back from it: nobody asked it
+            sys.stdout.flush()
+            os._exit("error" in answer)
+        try:
+            write_message(answers, {"number": header["number"], **answer}, table)
         except BrokenPipeError:
             return
-        except BaseException as error:  # SystemExit too: an answer is owed
-            write_message(answers, {"error": told(error)})
 
 
 main()

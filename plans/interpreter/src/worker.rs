@@ -23,12 +23,22 @@ pub(crate) struct Worker {
     process: Child,
     requests: Option<ChildStdin>,
     answers: BufReader<ChildStdout>,
+    /// The number of the last request.
+    number: u64,
     /// What people call the function.
     label: String,
     /// Its digest.
     pub(crate) loaded: blake3::Hash,
     /// Where the function runs.
     pub(crate) environment: Environment,
+}
+
+/// An answer, with the number of its request.
+#[derive(Deserialize)]
+struct Numbered {
+    number: u64,
+    #[serde(flatten)]
+    answer: Answer,
 }
 
 /// What a worker answers.
@@ -68,13 +78,14 @@ impl Worker {
             process,
             requests: Some(requests),
             answers: BufReader::new(answers),
+            number: 0,
             label: function.label(),
             loaded,
             environment: Environment(String::new()),
         };
         let request = serde_json::to_value(function)
             .map_err(|error| Fault::bug(format!("a function does not serialise: {error}")))?;
-        match worker.ask(&request, &[])? {
+        match worker.ask(request, &[])? {
             Answer::Environment(environment) => worker.environment = environment,
             _ => return Err(worker.confused()),
         }
@@ -84,7 +95,7 @@ impl Worker {
     /// Calls the function. Where this fails the worker is not to be used again.
     pub(crate) fn call(&mut self, function: &Function, tables: &[Table]) -> Result<Made, Fault> {
         let streams = tables.iter().map(stream).collect::<Result<Vec<_>, _>>()?;
-        match self.ask(&json!({"tables": function.ports}), &streams)? {
+        match self.ask(json!({"tables": function.ports}), &streams)? {
             Answer::Skipped(skipped) => Ok(Made {
                 rows: self.table().map_err(|error| self.broken(&error))?,
                 skipped,
@@ -94,12 +105,20 @@ impl Worker {
     }
 
     /// Sends a message and reads the header of the answer.
-    fn ask(&mut self, header: &Value, tables: &[Vec<u8>]) -> Result<Answer, Fault> {
-        let answer = self
-            .send(header, tables)
+    fn ask(&mut self, mut header: Value, tables: &[Vec<u8>]) -> Result<Answer, Fault> {
+        self.number += 1;
+        header["number"] = self.number.into();
+        let Numbered { number, answer } = self
+            .send(&header, tables)
             .and_then(|()| self.header())
             .map_err(|error| self.ended(&error))?;
         match answer {
+            _ if number != self.number => Err(Fault::user(format!(
+                "expected the answer to request {}, found one to request {number}",
+                self.number
+            ))
+            .at(&self.label)
+            .next("have the function write to no pipe that it did not open")),
             Answer::Error(message) => Err(Fault::user(message).at(&self.label)),
             answer => Ok(answer),
         }
@@ -118,7 +137,7 @@ impl Worker {
         pipe.flush()
     }
 
-    fn header(&mut self) -> io::Result<Answer> {
+    fn header(&mut self) -> io::Result<Numbered> {
         let mut length = [0; 4];
         self.answers.read_exact(&mut length)?;
         let length = u32::from_le_bytes(length);

@@ -10,10 +10,11 @@ use super::layout::{AISLES, BAY_DEPTH_M, BAY_WIDTH_M, Layout, NOSE_M, Node, Rect
 use crate::WorldError;
 use crate::plane::{Pose2, between, distance, heading};
 use crate::random::nanoseconds;
-use crate::record::Session;
+use crate::record::{LIBRARY, Session};
 use crate::vehicle::Ground;
 use evermap_algorithms::geometry::pose::Pose;
 use evermap_algorithms::ground::boxes::GroundBox;
+use evermap_recording::LogWriter;
 use evermap_recording::annotations::{Anchor, Annotation, AnnotationLog, Geometry};
 use std::f64::consts::FRAC_PI_2;
 use std::path::{Path, PathBuf};
@@ -44,7 +45,8 @@ pub(super) fn write(hall: &Hall<'_>, out: &Path) -> Result<PathBuf, WorldError> 
     if partial.exists() {
         std::fs::remove_file(&partial).map_err(|error| WorldError::io(&partial, error))?;
     }
-    let mut log = AnnotationLog::begin(&partial, |_| false, "evermap-worlds")?;
+    LogWriter::may_replace(&target, LIBRARY)?;
+    let mut log = AnnotationLog::begin(&partial, |_| false, LIBRARY)?;
     log.say_all(&said(hall))?;
     let written = log.finish()?;
     std::fs::rename(&written, &target).map_err(|error| WorldError::io(&target, error))?;

@@ -12,7 +12,11 @@ pub use picture::{deep_png, grey_png, jpeg};
 pub use session::{CameraTopics, Sensors, Session, shutter};
 
 use crate::WorldError;
+use evermap_recording::LogWriter;
 use std::path::{Path, PathBuf};
+
+/// What logs of worlds name as their writer.
+pub const LIBRARY: &str = "evermap-worlds";
 
 /// How far the simulation has come.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -85,6 +89,9 @@ pub fn simulate(
     out: &Path,
     progress: &mut dyn FnMut(Progress),
 ) -> Result<Summary, WorldError> {
+    for visit in world.visits() {
+        LogWriter::may_replace(&visit.as_ref().log_in(out), LIBRARY)?;
+    }
     std::fs::create_dir_all(out).map_err(|error| WorldError::io(out, error))?;
     let truth = world.write_truth(out)?;
     let cameras = world.sensors().cameras.len();

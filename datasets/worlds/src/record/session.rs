@@ -1,6 +1,6 @@
 //! One drive, and how its log is written.
 
-use super::{Recorded, SessionSummary, Tell};
+use super::{LIBRARY, Recorded, SessionSummary, Tell};
 use crate::WorldError;
 use crate::random::{nanoseconds, normal, stream};
 use crate::vehicle::{ANTENNA, Imu, OdometrySample, Receiver, SENSOR, Trajectory, Wheels};
@@ -15,7 +15,7 @@ use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
 use std::collections::BTreeMap;
 use std::ops::Range;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 /// Shots rendered before any of them is written; bounds memory to some 30 MB of images.
 const BATCH: usize = 24;
@@ -129,6 +129,11 @@ impl Session {
         self.wheels.odometry(&self.drive, self.start_ns, rng)
     }
 
+    /// Its log in a folder.
+    pub fn log_in(&self, folder: &Path) -> PathBuf {
+        folder.join(format!("{}.mcap", self.name))
+    }
+
     /// Renders the session and writes its log into `folder`; `tell` learns how many images are written.
     pub fn record(
         &self,
@@ -137,8 +142,8 @@ impl Session {
         take: &Take<'_>,
         tell: &mut Tell<'_>,
     ) -> Recorded {
-        let path = folder.join(format!("{}.mcap", self.name));
-        let mut log = LogWriter::create(&path, "evermap-worlds", "ros2")?;
+        let path = self.log_in(folder);
+        let mut log = LogWriter::create(&path, LIBRARY, "ros2")?;
         let schedule = self.schedule(sensors, &mut log)?;
         log.label_classes(sensors.label_classes.clone())?;
         let mut darkroom = Darkroom {

@@ -26,6 +26,7 @@ use evermap_datasets::annotations::{AnnotationLog, RecordingError};
 use evermap_engine::map::version::Version;
 use evermap_schemas::Fault;
 
+use crate::output::outside_of_maps;
 use crate::progress::line;
 
 /// Lines about single losses; more are only counted.
@@ -86,8 +87,9 @@ pub fn user() -> String {
 /// Begins the next part of a log, of a name that no session of the map has: it would take that one's place.
 ///
 /// # Errors
-/// A resource fault where it cannot be written.
+/// A resource fault where it cannot be written, a user fault as [`outside_of_maps`].
 pub fn begin(log: &Path, map: &Version) -> Result<AnnotationLog, Fault> {
+    outside_of_maps(log)?;
     let library = concat!("evermap ", env!("CARGO_PKG_VERSION"));
     let sessions = map.sessions.iter();
     let sessions: BTreeSet<&str> = sessions
@@ -116,6 +118,7 @@ fn in_shell(word: &str) -> String {
 pub fn unwritten(error: RecordingError) -> Fault {
     match error {
         RecordingError::Io { .. } => Fault::resource(error.to_string()),
+        RecordingError::Kept { .. } => Fault::user(error.to_string()),
         RecordingError::Mcap(_) => Fault::bug(error.to_string()),
     }
 }

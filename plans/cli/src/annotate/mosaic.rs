@@ -88,7 +88,7 @@ impl WorldFile {
         }
         let path = picture.with_extension("pgw");
         let at = |fault: Fault| fault.at(path.display());
-        let text = std::fs::read_to_string(&path).map_err(|error| {
+        let text = evermap_datasets::read_text(&path).map_err(|error| {
             at(Fault::user(format!("expected a world file, found {error}"))
                 .next("`evermap export overhead_tiles --format png` writes it beside the picture"))
         })?;

@@ -6,6 +6,7 @@
 //!   DIR/label_studio.json                 the same as tasks of Label Studio, the boxes as predictions
 //! ```
 
+use std::collections::BTreeMap;
 use std::path::Path;
 
 use evermap_catalog::PERSON;
@@ -92,7 +93,24 @@ impl PersonImages {
                 .next("`evermap export person_questions --format coco` writes one")
         };
         let text = evermap_datasets::read_text(&path).map_err(|error| at(error.to_string()))?;
-        serde_json::from_str(&text).map_err(|error| at(error.to_string()))
+        let read: Self = serde_json::from_str(&text).map_err(|error| at(error.to_string()))?;
+        match read.doubled() {
+            Some(doubled) => Err(at(doubled)),
+            None => Ok(read),
+        }
+    }
+
+    /// Two images that have an id or a name in common, in words: nothing would tell whose boxes are whose.
+    fn doubled(&self) -> Option<String> {
+        let (mut ids, mut names) = (BTreeMap::new(), BTreeMap::new());
+        self.images.iter().find_map(|image| {
+            let PersonImage { id, file_name, .. } = image;
+            if let Some(other) = ids.insert(id, file_name) {
+                return Some(format!("{other} and {file_name}, both with the id {id}"));
+            }
+            let other = names.insert(file_name, id)?;
+            Some(format!("{file_name} twice, with the ids {other} and {id}"))
+        })
     }
 
     /// Adds an image of this size with those whom is asked about; `ending` is that of its file.

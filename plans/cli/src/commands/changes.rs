@@ -67,7 +67,7 @@ pub async fn verify(args: &VerifyArgs) -> Ending {
     let verified = map::verify(&store, args.map.version).await?;
     let lost = verified.findings.iter().filter(|finding| finding.is_loss());
     let lost = lost.count() as u64;
-    let remedies: Vec<&str> = verified.remedies().into_iter().map(in_words).collect();
+    let remedies: Vec<String> = verified.remedies().into_iter().map(in_words).collect();
     line(&format!(
         "read {}, {}, {}",
         of(verified.versions, "version"),
@@ -88,8 +88,9 @@ pub async fn verify(args: &VerifyArgs) -> Ending {
     )
 }
 
-fn in_words(remedy: Remedy) -> &'static str {
-    match remedy {
+fn in_words(remedy: Remedy) -> String {
+    let words = match remedy {
+        Remedy::Decide(step) => return step,
         Remedy::Run => {
             "run the same plan again: it makes anew what is damaged in the newest version"
         }
@@ -97,5 +98,6 @@ fn in_words(remedy: Remedy) -> &'static str {
             "`evermap gc` removes versions that are torn, and with older ones what only they need"
         }
         Remedy::Remove => "remove damaged records of runs: nothing else needs them",
-    }
+    };
+    words.to_owned()
 }

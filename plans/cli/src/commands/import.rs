@@ -7,6 +7,7 @@ use evermap_schemas::Fault;
 
 use crate::arguments::ImportArgs;
 use crate::ending::{Ending, Lost};
+use crate::output::outside_of_maps;
 use crate::progress::line;
 use crate::quantity::of;
 
@@ -21,6 +22,7 @@ pub async fn import(args: &ImportArgs) -> Ending {
             folder,
             out,
         } => {
+            outside_of_maps(out)?;
             let import = ImageImport::load(description)?;
             let import = match folder {
                 Some(folder) => import.within(folder),
@@ -35,6 +37,7 @@ pub async fn import(args: &ImportArgs) -> Ending {
             calibration,
             out,
         } => {
+            outside_of_maps(out)?;
             let (poses, times) = (poses.clone(), times.clone());
             let (images, calibration) = (images.clone(), calibration.clone());
             let kitti = Kitti {

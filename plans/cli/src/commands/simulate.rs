@@ -10,7 +10,7 @@ use std::path::Path;
 
 use crate::arguments::SimulateArgs;
 use crate::ending::{DONE, Ending, Failure};
-use crate::output::{Format, print_batch};
+use crate::output::{Format, outside_of_maps, print_batch};
 use crate::progress::{Progress, line};
 
 record! {
@@ -40,6 +40,7 @@ record! {
 /// A user fault for parameters that make no world, a resource fault when files cannot be written.
 pub async fn simulate(args: &SimulateArgs) -> Ending {
     let write = writer(args)?;
+    outside_of_maps(&args.out)?;
     let mut progress = Progress::new(args.progress);
     let mut total = None;
     // Rendering keeps every core busy for minutes: the runtime must know that this thread is taken.
@@ -114,7 +115,9 @@ fn parameters<W: DeserializeOwned>(args: &SimulateArgs) -> Result<W, Failure> {
 
 fn fault(error: WorldError) -> Fault {
     match &error {
-        WorldError::Parameters { .. } => Fault::user(error.to_string()),
+        WorldError::Parameters { .. } | WorldError::File(RecordingError::Kept { .. }) => {
+            Fault::user(error.to_string())
+        }
         WorldError::File(RecordingError::Io { .. }) => Fault::resource(error.to_string()),
         _ => Fault::bug(error.to_string()),
     }

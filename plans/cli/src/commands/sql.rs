@@ -16,7 +16,7 @@ use datafusion::prelude::{DataFrame, SessionContext};
 use datafusion::sql::parser::{DFParserBuilder, Statement};
 use datafusion::sql::sqlparser::ast;
 use datafusion::sql::sqlparser::dialect::GenericDialect;
-use evermap_datasets::Dataset;
+use evermap_datasets::{Dataset, without_mark};
 use evermap_engine::error::{OrFault, fault_of};
 use evermap_engine::map::Map;
 use evermap_engine::map::columns::{of_answer, of_table};
@@ -366,7 +366,7 @@ pub async fn sql(args: &SqlArgs, unfinished: &Unfinished) -> Ending {
         None => {
             let text = std::io::read_to_string(std::io::stdin())
                 .map_err(|error| Fault::resource(format!("cannot read queries: {error}")))?;
-            script(&tables, &text, args).await?;
+            script(&tables, without_mark(&text), args).await?;
         }
     }
     Ok(tables.lost().await)

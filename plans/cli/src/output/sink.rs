@@ -7,6 +7,7 @@ use evermap_schemas::Fault;
 use tempfile::{NamedTempFile, SpooledTempFile};
 
 use crate::ending::Failure;
+use crate::output::place::may_write;
 
 /// Where bytes go.
 #[derive(Debug)]
@@ -30,7 +31,7 @@ impl Sink {
     /// A file. It appears, or is replaced, when [`Sink::finish`] is called.
     ///
     /// # Errors
-    /// A user fault for a folder that is not there, a resource fault when it cannot be written to.
+    /// A user fault for a folder that is not there, a log, and a map's own file, a resource fault when it cannot be written to.
     pub fn file(path: &Path) -> Result<Self, Fault> {
         let fault =
             |error: Error| Fault::resource(format!("cannot write {}: {error}", path.display()));
@@ -56,6 +57,7 @@ impl Sink {
             );
             return Err(Fault::user(fault));
         }
+        may_write(path)?;
         let mut builder = tempfile::Builder::new();
         builder.prefix(".evermap-");
         #[cfg(unix)]

@@ -168,7 +168,7 @@ pub fn is_this_machine(host: &str) -> bool {
 impl Users {
     fn read(path: &Path) -> Result<Self, Fault> {
         let place = path.display().to_string();
-        let text = std::fs::read_to_string(path)
+        let text = evermap_datasets::read_text(path)
             .map_err(|error| Fault::user(format!("cannot read it: {error}")).at(place.clone()))?;
         is_private(path).map_err(|fault| fault.at(place.clone()))?;
         Self::parse(&text).map_err(|fault| fault.at(place))

@@ -2,9 +2,9 @@
 
 use std::collections::BTreeSet;
 
-use evermap_schemas::{Fault, Kind};
+use evermap_schemas::Fault;
+use futures::TryStreamExt;
 use serde::Serialize;
-use serde::de::IgnoredAny;
 
 use crate::fingerprint;
 use crate::map::lease::{self, Lease};
@@ -13,9 +13,9 @@ use crate::map::parts::PARTS;
 use crate::map::receipt::{Artifact, RECEIPTS, Receipt};
 use crate::map::records::record_version;
 use crate::map::rows::RUNS;
-use crate::map::sealed;
 use crate::map::sound::Sound;
 use crate::map::store::{ARTIFACTS, Store};
+use crate::map::unread::Unread;
 use crate::map::version::Version;
 
 /// What [`gc`] removed.
@@ -84,23 +84,23 @@ async fn collect(taking: &Taking<'_>, keep: usize) -> Result<Collected, Fault> {
     let store = taking.store;
     let mut versions = Vec::new();
     let mut torn = Vec::new();
-    for number in Version::numbers(store).await? {
-        match Version::find(store, number).await {
-            Err(fault) if fault.kind == Kind::Data => {
-                if !is_torn(store, number).await? {
-                    return Err(unread(number, &fault));
-                }
-                torn.push(Version::name(number));
-            }
-            found => versions.extend(found?),
+    let numbers = Version::numbers(store).await?;
+    let mut read = Version::all(store, &numbers);
+    while let Some((number, found)) = read.try_next().await? {
+        match found {
+            Ok(found) => versions.extend(found),
+            Err(fault) => match Unread::of(store, number, fault).await? {
+                Unread::Nobodys => torn.push(Version::name(number)),
+                Unread::Kept(fault) => return Err(fault),
+            },
         }
     }
     let kept = versions.split_off(versions.len().saturating_sub(keep));
     let forgotten = versions;
-    let oldest = kept.first().map(|version| version.version);
+    let oldest = kept.first().map(|(version, _)| version.version);
     let (mut needed, mut logs) = (BTreeSet::new(), BTreeSet::new());
-    for version in kept {
-        needed.extend(Version::parts(store, version.version).await?);
+    for (version, parts) in kept {
+        needed.extend(parts);
         // What `previous` meant is kept too: the version can then be made again.
         let previous = version.previous.layers.values().flatten();
         needed.extend(previous.map(Artifact::name));
@@ -113,7 +113,7 @@ async fn collect(taking: &Taking<'_>, keep: usize) -> Result<Collected, Fault> {
     }
     needed.extend(fingerprint::names_of(store, &logs).await?);
     let mut collected = Collected::default();
-    for version in forgotten {
+    for (version, _) in forgotten {
         collected.versions += 1;
         taking.take(&Version::name(version.version)).await?;
     }
@@ -146,21 +146,6 @@ fn is_older(record: &str, oldest: Option<u64>) -> bool {
     version
         .zip(oldest)
         .is_some_and(|(version, oldest)| version < oldest)
-}
-
-/// Whether a version is no JSON at all, or not as it was published: nobody can say what it needs, now or later.
-async fn is_torn(store: &Store, number: u64) -> Result<bool, Fault> {
-    match sealed::read::<IgnoredAny>(store, &Version::name(number)).await {
-        Err(fault) if fault.kind == Kind::Data => Ok(true),
-        read => read.map(|_| false),
-    }
-}
-
-/// A version that is whole and does not read, as of another evermap, may need what it does not tell: a person decides.
-fn unread(number: u64, fault: &Fault) -> Fault {
-    let name = Version::name(number);
-    let next = format!("use the evermap that wrote it, or remove {name} and what only it needs");
-    Fault::data(format!("version {number} does not read: {}", fault.message)).next(next)
 }
 
 #[cfg(test)]

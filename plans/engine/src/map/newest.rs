@@ -18,7 +18,7 @@ use crate::map::version::Version;
 /// The link to the newest version's folder.
 pub const NEWEST: &str = "newest";
 /// Folders of links, one a version.
-const LINKS: &str = "links";
+pub const LINKS: &str = "links";
 
 /// Files of a layer that has links.
 const MOST_FILES: usize = 1000;

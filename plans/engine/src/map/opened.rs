@@ -7,7 +7,8 @@ use std::sync::Arc;
 use arrow::array::RecordBatch;
 use datafusion::execution::runtime_env::RuntimeEnv;
 use evermap_datasets::Dataset;
-use evermap_schemas::{Fault, Kind, LayerRow};
+use evermap_schemas::{Fault, LayerRow};
+use futures::TryStreamExt;
 use tokio::sync::Mutex;
 use url::Url;
 
@@ -272,13 +273,16 @@ fn info(name: &str, layer: &StoredLayer) -> LayerInfo {
 /// A resource fault when the store does not answer.
 pub async fn versions(store: &Store) -> Result<Vec<VersionInfo>, Fault> {
     let mut infos = Vec::new();
-    for number in Version::numbers(store).await? {
-        let version = match Version::read(store, number).await {
-            Err(fault) if fault.kind == Kind::Data => {
+    let numbers = Version::numbers(store).await?;
+    let mut read = Version::all(store, &numbers);
+    while let Some((number, found)) = read.try_next().await? {
+        let version = match found {
+            Ok(Some((version, _))) => version,
+            Ok(None) => continue, // It was forgotten since.
+            Err(fault) => {
                 tracing::warn!("version {number} is ignored: {fault}");
                 continue;
             }
-            read => read?,
         };
         let sessions = version.sessions.iter();
         infos.push(VersionInfo {

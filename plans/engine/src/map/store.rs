@@ -22,6 +22,7 @@ use std::time::{Duration, Instant, SystemTime};
 
 use bytes::Bytes;
 use evermap_datasets::address::url_of;
+use futures::stream::{Buffered, Iter};
 use futures::{StreamExt, TryStreamExt};
 use object_store::path::Path as ObjectPath;
 use object_store::{ObjectMeta, ObjectStore, ObjectStoreExt, PutMode};
@@ -334,10 +335,16 @@ const SIDE_BY_SIDE: usize = 16;
 pub async fn each<F: Future<Output = Result<T, Fault>>, T>(
     asked: impl IntoIterator<Item = F>,
 ) -> Result<Vec<T>, Fault> {
+    answers(asked).try_collect().await
+}
+
+/// As [`each`], one answer after the other: for those that are too large to be held together.
+pub fn answers<F: Future<Output = Result<T, Fault>>, T>(
+    asked: impl IntoIterator<Item = F>,
+) -> Buffered<Iter<std::vec::IntoIter<F>>> {
     // They are made before any is waited for: a stream of futures that borrow cannot be sent to other threads.
     let asked: Vec<F> = asked.into_iter().collect();
-    let answers = futures::stream::iter(asked).buffered(SIDE_BY_SIDE);
-    answers.try_collect().await
+    futures::stream::iter(asked).buffered(SIDE_BY_SIDE)
 }
 
 /// How often something is asked of a store that does not answer whole.

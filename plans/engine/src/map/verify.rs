@@ -4,6 +4,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
 
 use evermap_schemas::{Fault, Kind, record};
+use futures::TryStreamExt;
 
 use crate::map::damage::{Damage, content_damage};
 use crate::map::parts::PARTS;
@@ -12,6 +13,7 @@ use crate::map::records::{RecordDamage, record_damage};
 use crate::map::rows::RUNS;
 use crate::map::sealed;
 use crate::map::store::{ARTIFACTS, Store, each};
+use crate::map::unread::Unread;
 use crate::map::version::Version;
 
 record! {
@@ -52,15 +54,19 @@ pub struct Verified {
     pub findings: Vec<Finding>,
     /// The files that a run of the same plan makes anew: rows and receipts of the newest version that reads.
     remade: BTreeSet<String>,
+    /// Versions that do not read and that `gc` does not remove, by file: what a person does first.
+    kept: BTreeMap<String, String>,
 }
 
 /// What can be done about a loss.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+#[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Remedy {
     /// To run the same plan again: it makes anew what the newest version needs.
     Run,
     /// To let `gc` remove it, and with it the older version that it is of.
     Collect,
+    /// To do what this says, as `gc` would say: a version does not read, and may need what nothing else tells.
+    Decide(String),
     /// To remove it by hand, as a record of a run: nothing needs it.
     Remove,
 }
@@ -76,6 +82,8 @@ impl Verified {
         let (folder, _) = file.split_once('/').unwrap_or_default();
         if self.remade.contains(file) {
             Remedy::Run
+        } else if let Some(step) = self.kept.get(file) {
+            Remedy::Decide(step.clone())
         } else if folder == RUNS {
             Remedy::Remove
         } else {
@@ -146,23 +154,24 @@ async fn verify_versions(store: &Store, numbers: &[u64], all: bool) -> Result<Ve
     let mut verified = Verified::default();
     let mut needed = Needed::default();
     let mut newest = None;
-    for &number in numbers {
-        let found = match all {
-            true => Version::find(store, number).await,
-            false => Version::read(store, number).await.map(Some),
-        };
+    let mut read = Version::all(store, numbers);
+    while let Some((number, found)) = read.try_next().await? {
         match found {
-            Ok(Some(version)) => {
+            Ok(Some((version, parts))) => {
                 needed.add(&version);
-                needed.parts.extend(Version::parts(store, number).await?);
+                needed.parts.extend(parts);
                 newest = Some(version);
             }
-            Ok(None) => continue, // It was forgotten since.
-            Err(fault) if fault.kind == Kind::Data => {
+            // Of all, it was forgotten since.
+            Ok(None) if all => continue,
+            Ok(None) => newest = Some(Version::read(store, number).await?),
+            Err(fault) => {
                 let file = Version::name(number);
                 verified.findings.push(unreadable(&file, &fault, None));
+                if let Unread::Kept(fault) = Unread::of(store, number, fault).await? {
+                    verified.kept.insert(file, fault.next);
+                }
             }
-            Err(fault) => return Err(fault),
         }
         verified.versions += 1;
     }

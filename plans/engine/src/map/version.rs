@@ -4,18 +4,19 @@ use std::collections::BTreeMap;
 
 use evermap_datasets::Manifest;
 use evermap_schemas::{Fault, Kind};
+use futures::Stream;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
 use crate::digest::digest;
 use crate::map::receipt::{Artifact, LogContent};
-use crate::map::store::{Store, other_json};
+use crate::map::store::{Store, answers, other_json};
 use crate::map::{parts, sealed};
 
 pub use crate::fingerprint::FileState;
 
 /// The folder of a map that has its versions.
-const VERSIONS: &str = "versions";
+pub const VERSIONS: &str = "versions";
 
 /// A stored stage in a version: a published layer, or something that later runs build on.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -86,6 +87,9 @@ pub struct Previous {
     pub sessions: Vec<String>,
 }
 
+/// A version with the names of the files that hold parts of its lists, or none, or why it does not read.
+pub type Found = Result<Option<(Version, Vec<String>)>, Fault>;
+
 /// One version of a map.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Version {
@@ -142,19 +146,38 @@ impl Version {
     /// # Errors
     /// A data fault for one that is torn, is not as it was published or does not read.
     pub async fn find(store: &Store, version: u64) -> Result<Option<Self>, Fault> {
+        let found = Self::with_parts(store, version).await?;
+        Ok(found.map(|(found, _)| found))
+    }
+
+    /// Versions by number, read side by side and told in order: what [`Version::find`] finds of each, or its data fault.
+    ///
+    /// # Errors
+    /// A resource fault when the store does not answer.
+    pub fn all(store: &Store, numbers: &[u64]) -> impl Stream<Item = Result<(u64, Found), Fault>> {
+        answers(numbers.iter().map(move |&number| async move {
+            match Self::with_parts(store, number).await {
+                Err(fault) if fault.kind != Kind::Data => Err(fault),
+                found => Ok((number, found)),
+            }
+        }))
+    }
+
+    async fn with_parts(store: &Store, version: u64) -> Found {
         let name = Self::name(version);
         let Some(mut found) = sealed::read::<Value>(store, &name).await? else {
             return Ok(None);
         };
         let at = |fault: Fault| fault.at(&name);
+        let parts = parts::names(&found);
         parts::join(store, &mut found).await.map_err(at)?;
         let read = serde_json::from_value(found);
-        let found: Option<Self> = read.map_err(|error| at(other_json(&error)))?;
-        match found.as_ref().map(|found| found.version) {
-            Some(found) if found != version => Err(Fault::data(format!(
-                "{name}: expected version {version}, found version {found}"
+        let found: Self = read.map_err(|error| at(other_json(&error)))?;
+        match found.version {
+            other if other != version => Err(Fault::data(format!(
+                "{name}: expected version {version}, found version {other}"
             ))),
-            _ => Ok(found),
+            _ => Ok(Some((found, parts))),
         }
     }
 
@@ -271,15 +294,6 @@ impl Version {
         parts::split(store, &mut written).await?;
         let written = sealed::bytes(&written)?;
         store.create(&Self::name(self.version), written).await
-    }
-
-    /// The names of the files that hold parts of a version's lists.
-    ///
-    /// # Errors
-    /// As [`Version::find`], but for what is wrong with a part.
-    pub async fn parts(store: &Store, version: u64) -> Result<Vec<String>, Fault> {
-        let found: Option<Value> = sealed::read(store, &Self::name(version)).await?;
-        Ok(found.iter().flat_map(parts::names).collect())
     }
 }
 

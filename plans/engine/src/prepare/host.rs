@@ -5,7 +5,7 @@ use std::path::Path;
 
 use datafusion::error::DataFusionError;
 use evermap_contract::{ParamFault, Registry};
-use evermap_datasets::Dataset;
+use evermap_datasets::{Dataset, without_mark};
 use evermap_language::{
     Host, OperatorSpec, ParameterFault, PortSpec, QueryFault, Source, Vocabulary,
 };
@@ -96,7 +96,7 @@ impl Host for Surroundings<'_> {
                 "{} has more than {LONGEST_CODE} bytes",
                 path.display()
             )),
-            false => Ok(code),
+            false => Ok(without_mark(&code).to_owned()),
         }
     }
 

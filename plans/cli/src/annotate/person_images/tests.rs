@@ -64,6 +64,36 @@ fn what_is_written_says_which_image_and_place_each_box_is_of() {
 }
 
 #[test]
+fn images_that_nothing_tells_apart_are_refused_with_both() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut written = PersonImages::default();
+    for stamp in [1, 2] {
+        let asked = PersonQuestion {
+            stamp: Stamp(stamp),
+            ..question(1, [9.5, 19.5, 29.5, 79.5])
+        };
+        written.add(([100, 80], "png"), &[asked]);
+    }
+    let refused = |images: &PersonImages| {
+        let [coco, _] = images.texts().unwrap();
+        std::fs::write(folder.path().join(INDEX), coco).unwrap();
+        PersonImages::read(folder.path()).unwrap_err().to_string()
+    };
+    written.images[1].id = 1;
+    let said = refused(&written);
+    let [one, other] = [
+        "0001_a_b_front_optical_1.png",
+        "0002_a_b_front_optical_2.png",
+    ];
+    let both = format!("found {one} and {other}, both with the id 1");
+    assert!(said.contains(&both), "{said}");
+    written.images[1].id = 2;
+    written.images[1].file_name = one.into();
+    let said = refused(&written);
+    assert!(said.contains("twice, with the ids 1 and 2"), "{said}");
+}
+
+#[test]
 fn another_folder_is_refused() {
     let folder = tempfile::tempdir().unwrap();
     for text in [

@@ -1,6 +1,6 @@
 //! Common Objects in Context.
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 
 use evermap_schemas::Fault;
 use serde_json::{Value, json};
@@ -15,10 +15,12 @@ use crate::annotate::mosaic::Picture;
 /// clockwise, about their centre) as CVAT writes them.
 ///
 /// # Errors
-/// A user fault for annotations of other pictures alone.
+/// A user fault for annotations of other pictures alone, and for pictures or categories that have an id in common.
 pub(super) fn read(value: &Value, canvases: &[Canvas], losses: &mut Losses) -> Result<Said, Fault> {
     let list = |name: &str| value[name].as_array().map_or(&[][..], Vec::as_slice);
     let pictures = list("images");
+    distinct("images", pictures, "file_name")?;
+    distinct("categories", list("categories"), "name")?;
     let described: Vec<Described> = pictures.iter().map(described).collect();
     let chosen = which_are(canvases, &described, losses)?;
     let chosen = pictures.iter().zip(chosen);
@@ -76,9 +78,32 @@ fn is_coarse(segmentation: &Value) -> bool {
     }
 }
 
+/// That those of a list which have an id in common are one and the same: annotations say nothing else of them.
+///
+/// # Errors
+/// A user fault with what two of them are called.
+fn distinct(what: &str, list: &[Value], name: &str) -> Result<(), Fault> {
+    let mut first: BTreeMap<String, &Value> = BTreeMap::new();
+    for one in list {
+        let id = one["id"].to_string();
+        let first = *first.entry(id.clone()).or_insert(one);
+        if first[name] != one[name] {
+            let (one, other) = (&first[name], &one[name]);
+            let fault = format!(
+                "expected an id of its own for each of {what}, found {id} of {one} and of {other}"
+            );
+            return Err(Fault::user(fault).next(
+                "number them anew: files that were put together each begin with the same ids",
+            ));
+        }
+    }
+    Ok(())
+}
+
 fn described(picture: &Value) -> Described {
     let size = ["width", "height"].map(|name| picture[name].as_f64());
     Described {
+        id: Some(picture["id"].to_string()),
         name: text(&picture["file_name"]),
         size: both(size),
     }

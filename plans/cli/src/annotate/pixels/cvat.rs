@@ -89,6 +89,7 @@ fn name(shape: Node<'_, '_>) -> Option<String> {
 fn described(picture: &Node<'_, '_>) -> Described {
     let size = ["width", "height"].map(|name| picture.attribute(name)?.parse().ok());
     Described {
+        id: picture.attribute("id").map(str::to_owned),
         name: picture.attribute("name").map(str::to_owned),
         size: both(size),
     }

@@ -19,6 +19,8 @@ pub struct Canvas {
 /// A picture as a file describes it.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Described {
+    /// What tells it in its file from another one of the same name; `None` where nothing does, and it is the same.
+    pub(super) id: Option<String>,
     /// Its file, as the program knows it: a name, a path or an address. `None` where nothing is said.
     pub(super) name: Option<String>,
     /// Width and height, px; `None` where nothing is said.
@@ -29,7 +31,7 @@ pub(super) struct Described {
 /// that one, and another name is told. `None` for others.
 ///
 /// # Errors
-/// A user fault where no picture is one of these, or what is to be one has another size.
+/// A user fault where no picture is one of these, several may be the same one, or what is to be one has another size.
 pub(super) fn which_are(
     canvases: &[Canvas],
     described: &[Described],
@@ -58,6 +60,9 @@ pub(super) fn which_are(
             ));
         }
     }
+    for (number, canvas) in canvases.iter().enumerate() {
+        tell_apart((number, canvas), described, &mut chosen)?;
+    }
     for (one, at) in described.iter().zip(&chosen) {
         if let Some(canvas) = at.and_then(|at| canvases.get(at)) {
             one.fits(canvas)?;
@@ -66,7 +71,50 @@ pub(super) fn which_are(
     Ok(chosen)
 }
 
+/// Of pictures in several folders whose files have one name, leaves the one that is called just so.
+///
+/// # Errors
+/// A user fault with two of them, where nothing tells which is meant.
+fn tell_apart(
+    (number, canvas): (usize, &Canvas),
+    described: &[Described],
+    chosen: &mut [Option<usize>],
+) -> Result<(), Fault> {
+    let is_it = |one: &Described| one.name.as_ref() == Some(&canvas.name);
+    let alike = described.iter().zip(&*chosen);
+    let alike = alike.filter(|(_, at)| **at == Some(number));
+    let mut alike: Vec<&Described> = alike.map(|(one, _)| one).collect();
+    if alike.iter().any(|one| is_it(one)) {
+        alike.retain(|one| is_it(one));
+        for (one, at) in described.iter().zip(chosen) {
+            at.take_if(|at| *at == number && !is_it(one));
+        }
+    }
+    let other = alike.iter().find(|one| !one.is_same(alike[0]));
+    match other {
+        None => Ok(()),
+        Some(other) => {
+            let (of, one, other) = (&canvas.name, alike[0].in_words(), other.in_words());
+            let fault = format!("expected one picture that may be {of}, found {one} and {other}");
+            Err(Fault::user(fault).next("give each a name of its own, or leave one out"))
+        }
+    }
+}
+
 impl Described {
+    /// Whether it is the same picture as another one.
+    fn is_same(&self, other: &Self) -> bool {
+        (&self.name, &self.id) == (&other.name, &other.id)
+    }
+
+    fn in_words(&self) -> String {
+        let name = self.name.as_deref().unwrap_or("one without a name");
+        match &self.id {
+            Some(id) => format!("{name} (id {id})"),
+            None => name.to_owned(),
+        }
+    }
+
     /// Holds its size to that of a picture.
     ///
     /// # Errors

@@ -36,6 +36,11 @@ pub(super) fn read(tasks: &Value, canvases: &[Canvas], losses: &mut Losses) -> R
                 losses.note(OF_ANOTHER, &place);
                 continue;
             };
+            if has_several_labels(result) {
+                losses.note(SEVERAL, &place);
+                said.unread.insert(at);
+                continue;
+            }
             match shape(result, canvas.size) {
                 Some((kind, shape)) => {
                     let drawn = Drawn::said(place, kind, shape);
@@ -60,6 +65,16 @@ const OF_NO_REGION: [&str; 7] = [
 fn is_region(result: &Value) -> bool {
     let form = result["type"].as_str();
     form.is_none_or(|form| !OF_NO_REGION.contains(&form))
+}
+
+/// Why a result with several labels is left out.
+const SEVERAL: &str = "annotation with several labels: which one it marks is not said";
+
+/// Whether a result marks a part of the picture as several things.
+fn has_several_labels(result: &Value) -> bool {
+    let form = result["type"].as_str().unwrap_or_default();
+    let labels = result["value"][form].as_array();
+    is_region(result) && labels.is_some_and(|labels| labels.len() > 1)
 }
 
 /// The name of a label, if the id of a result has one.
@@ -96,6 +111,8 @@ fn described(task: &Value, canvases: &[Canvas]) -> Described {
         both(["original_width", "original_height"].map(|name| result[name].as_f64()))
     };
     Described {
+        // Several tasks may be of one picture.
+        id: None,
         name: name.or(texts.first().copied()).map(str::to_owned),
         size: results(task).find_map(size),
     }

@@ -21,6 +21,7 @@ pub(super) use described::Canvas;
 use super::features::{Feature, Geometry};
 use super::mosaic::Picture;
 use super::{Losses, is_blank};
+use crate::ending::Failure;
 use crate::scene::corners;
 
 /// A place in a picture, px from its upper left corner.
@@ -116,14 +117,14 @@ impl Program {
     /// has no form for is noted and left out.
     ///
     /// # Errors
-    /// A resource fault for the classes' file.
+    /// As [`write_file`](crate::output::write_file), of the classes' file.
     pub fn write(
         self,
         path: &Path,
         picture: &Picture,
         (labels, proposed): (&[PlacedLabel], &[BoxHypothesis]),
         losses: &mut Losses,
-    ) -> Result<String, Fault> {
+    ) -> Result<String, Failure> {
         let labels = labels.iter().filter(|label| label.standing != "rejected");
         let mut drawn = Vec::new();
         for label in labels {

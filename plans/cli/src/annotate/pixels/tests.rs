@@ -392,6 +392,103 @@ fn boxes_are_of_the_image_of_their_name_and_no_other() {
     assert!(fault.contains("do not name their image"), "{fault}");
 }
 
+/// Of several folders, put together in one file.
+#[test]
+fn pictures_of_one_name_are_told_apart_or_refused_with_both() {
+    let folder = tempfile::tempdir().unwrap();
+    let picture = picture(folder.path());
+    let read = |name: &str, text: &str| {
+        let (path, mut losses) = (Path::new(name), Losses::default());
+        let found = Program::of(path, text)
+            .unwrap()
+            .read(path, text, &picture, &mut losses);
+        let kinds = |found: Vec<Feature>| found.into_iter().map(|one| one.category.unwrap());
+        found.map(|found| (kinds(found).collect::<Vec<_>>(), losses.counts))
+    };
+    let size = [400, 300];
+    let programs: [(Write, &str); 3] = [(coco, "a.json"), (cvat, "a.xml"), (studio, "a.json")];
+    for (write, name) in programs {
+        // The one that is called just so.
+        let text = write(&[("south/lot.png", size), ("lot.png", size)]);
+        let (kinds, lost) = read(name, &text).unwrap();
+        let other = ("annotation of another picture".to_owned(), 1);
+        assert_eq!(kinds, ["lot.png"], "{name}");
+        assert_eq!(lost.into_iter().collect::<Vec<_>>(), [other]);
+        let text = write(&[("south/lot.png", size), ("north/lot.png", size)]);
+        let said = read(name, &text).unwrap_err().to_string();
+        let has = |what: &str| said.contains(what);
+        assert!(has("south/lot.png") && has("north/lot.png"), "{said}");
+    }
+    // Of one name, and two ids.
+    let twice = coco(&[("lot.png", size), ("lot.png", size)]);
+    let said = read("a.json", &twice).unwrap_err().to_string();
+    let both = "found lot.png (id 0) and lot.png (id 1)";
+    assert!(said.contains(both), "{said}");
+    let image = |id: u32| format!(r#"<image id="{id}" name="lot.png"/>"#);
+    let twice = format!("<annotations>{}{}</annotations>", image(0), image(1));
+    let said = read("a.xml", &twice).unwrap_err().to_string();
+    assert!(said.contains(both), "{said}");
+    // Tasks of one picture, which several people had.
+    let twice = studio(&[("lot.png", size), ("lot.png", size)]);
+    assert_eq!(read("a.json", &twice).unwrap().0.len(), 2);
+}
+
+#[test]
+fn ids_that_several_have_are_refused_with_both() {
+    let folder = tempfile::tempdir().unwrap();
+    let picture = picture(folder.path());
+    let refused = |file: Value| {
+        let read = Program::Coco.read(
+            Path::new("a.json"),
+            &file.to_string(),
+            &picture,
+            &mut Losses::default(),
+        );
+        read.err().map(|fault| fault.to_string())
+    };
+    let image = |name: &str| json!({ "id": 7, "file_name": name });
+    let category = |name: &str| json!({ "id": 3, "name": name });
+    let file = |images: [Value; 2], categories: [Value; 2]| json!({ "images": images, "categories": categories });
+    let (images, categories) = (["lot.png"; 2].map(image), ["space"; 2].map(category));
+    // The same one, twice.
+    assert_eq!(refused(file(images.clone(), categories.clone())), None);
+    for (file, both) in [
+        (
+            file(["lot.png", "other.png"].map(image), categories),
+            "found 7 of \"lot.png\" and of \"other.png\"",
+        ),
+        (
+            file(images, ["space", "car"].map(category)),
+            "found 3 of \"space\" and of \"car\"",
+        ),
+    ] {
+        let said = refused(file).unwrap();
+        assert!(said.contains(both), "{said}");
+    }
+}
+
+#[test]
+fn a_rectangle_of_several_labels_is_told_and_left_out() {
+    let folder = tempfile::tempdir().unwrap();
+    let picture = picture(folder.path());
+    let result = |labels: &[&str]| {
+        let value = json!({ "x": 10, "y": 10, "width": 5, "height": 3, "rectanglelabels": labels });
+        json!({ "type": "rectanglelabels", "value": value })
+    };
+    let choices =
+        json!({ "type": "choices", "value": { "choices": ["dark", "wet"] }, "id": "weather" });
+    let results = [result(&["space", "car"]), result(&["space"]), choices];
+    let tasks = json!([{ "data": { "image": "lot.png" }, "annotations": [{ "result": results }] }]);
+    let (path, mut losses) = (Path::new("a.json"), Losses::default());
+    let found = Program::LabelStudio.read(path, &tasks.to_string(), &picture, &mut losses);
+    assert_eq!(found.unwrap().len(), 1);
+    let told = [
+        "task 0, result 0: annotation with several labels: which one it marks is not said",
+        "task 0, result 2: annotation that is neither box nor outline",
+    ];
+    assert_eq!(losses.lines, told);
+}
+
 /// Who only opened a task of Label Studio, or gave it up, has said nothing of its image.
 #[test]
 fn an_image_was_looked_at_where_somebody_said_something_of_it_or_that_there_is_nothing() {

@@ -7,6 +7,8 @@ use evermap_schemas::Fault;
 use super::{Drawn, Pixel, Shape, kinds};
 use crate::annotate::Losses;
 use crate::annotate::mosaic::Picture;
+use crate::ending::Failure;
+use crate::output::write_file;
 
 /// The names of the classes, a line each, beside the boxes.
 const CLASSES: &str = "classes.txt";
@@ -17,7 +19,7 @@ const CLASSES: &str = "classes.txt";
 /// A user fault for a file that cannot be read.
 pub(super) fn classes(path: &Path) -> Result<Vec<String>, Fault> {
     let path = path.with_file_name(CLASSES);
-    match std::fs::read_to_string(&path) {
+    match evermap_datasets::read_text(&path) {
         Ok(text) => Ok(text.lines().map(|line| line.trim().to_owned()).collect()),
         Err(error) if error.kind() == std::io::ErrorKind::NotFound => Ok(Vec::new()),
         Err(error) => {
@@ -71,13 +73,12 @@ fn corners(line: &str, [width, height]: [u32; 2]) -> Option<(usize, Vec<Pixel>)>
 /// The boxes; their classes are written beside.
 ///
 /// # Errors
-/// A resource fault where the classes cannot be written.
-pub(super) fn write(drawn: &[Drawn], picture: &Picture, path: &Path) -> Result<String, Fault> {
+/// As [`write_file`], of the classes.
+pub(super) fn write(drawn: &[Drawn], picture: &Picture, path: &Path) -> Result<String, Failure> {
     let kinds = kinds(drawn);
     let beside = path.with_file_name(CLASSES);
     let names: String = kinds.iter().map(|kind| format!("{kind}\n")).collect();
-    std::fs::write(&beside, names)
-        .map_err(|error| Fault::resource(format!("cannot write {}: {error}", beside.display())))?;
+    write_file(&beside, names.as_bytes())?;
     let [width, height] = picture.size.map(f64::from);
     let line = |drawn: &Drawn| {
         let kind = drawn.kind.as_deref().unwrap_or_default();

@@ -33,6 +33,7 @@ use foxglove::{Encode, Schema};
 use crate::annotate::unwritten;
 use crate::ending::Failure;
 use crate::export::Selection;
+use crate::output::outside_of_maps;
 use crate::reader::{MapReader, nothing, one_site};
 
 pub use images::Images;
@@ -46,6 +47,7 @@ const TOGETHER: usize = 64;
 /// # Errors
 /// A user fault for a map without poses, or of several sites; a data fault for logs that are gone or damaged.
 pub async fn export(reader: &MapReader, selection: &Selection, out: &Path) -> Result<(), Failure> {
+    outside_of_maps(out)?;
     let said = said(reader, selection).await?;
     write(reader, &said, out).await
 }
@@ -154,7 +156,8 @@ impl Said {
 }
 
 async fn write(reader: &MapReader, said: &[Said], out: &Path) -> Result<(), Failure> {
-    let library = concat!("evermap ", env!("CARGO_PKG_VERSION"));
+    // Only what an export has written is replaced by one.
+    let library = concat!("evermap export ", env!("CARGO_PKG_VERSION"));
     let log = LogWriter::create(out, library, "").map_err(unwritten)?;
     let mut file = File {
         log,
