@@ -3,11 +3,14 @@
 //! from a sum that is NaN or infinite by then.
 
 mod aggregates;
+mod compared;
 mod extremes;
 mod moving;
 mod percentile;
 mod statistics;
 mod sums;
+
+use std::sync::Arc;
 
 use datafusion::common::Result;
 use datafusion::execution::FunctionRegistry;
@@ -15,6 +18,7 @@ use datafusion::logical_expr::AggregateUDF;
 use datafusion::prelude::SessionContext;
 
 use crate::sql::floats::aggregates::{FloatAggregate, Of};
+use crate::sql::floats::compared::ComparedFloats;
 use crate::sql::floats::extremes::Side;
 use crate::sql::floats::statistics::STATISTICS;
 
@@ -36,5 +40,6 @@ pub fn sound_floats(context: &SessionContext) -> Result<()> {
         let inner = context.udaf(name)?;
         context.register_udaf(AggregateUDF::new_from_impl(FloatAggregate { inner, of }));
     }
+    context.add_analyzer_rule(Arc::new(ComparedFloats));
     Ok(())
 }
