@@ -4,6 +4,7 @@
 
 mod aggregates;
 mod compared;
+mod decimals;
 mod extremes;
 mod moving;
 mod percentile;
@@ -19,6 +20,7 @@ use datafusion::prelude::SessionContext;
 
 use crate::sql::floats::aggregates::{FloatAggregate, Of};
 use crate::sql::floats::compared::ComparedFloats;
+use crate::sql::floats::decimals::DoublesBesideDecimals;
 use crate::sql::floats::extremes::Side;
 use crate::sql::floats::statistics::STATISTICS;
 
@@ -41,5 +43,8 @@ pub fn sound_floats(context: &SessionContext) -> Result<()> {
         context.register_udaf(AggregateUDF::new_from_impl(FloatAggregate { inner, of }));
     }
     context.add_analyzer_rule(Arc::new(ComparedFloats));
-    Ok(())
+    let state = context.state_ref();
+    state
+        .write()
+        .register_function_rewrite(Arc::new(DoublesBesideDecimals))
 }
