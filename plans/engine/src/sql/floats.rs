@@ -48,3 +48,6 @@ pub fn sound_floats(context: &SessionContext) -> Result<()> {
         .write()
         .register_function_rewrite(Arc::new(DoublesBesideDecimals))
 }
+
+#[cfg(test)]
+mod tests;
