@@ -44,9 +44,12 @@ pub fn sound_floats(context: &SessionContext) -> Result<()> {
     }
     context.add_analyzer_rule(Arc::new(ComparedFloats));
     let state = context.state_ref();
-    state
-        .write()
-        .register_function_rewrite(Arc::new(DoublesBesideDecimals))
+    let mut state = state.write();
+    // Scans are told of the least and the greatest of columns so far, by their bits, and leave out what other aggregates
+    // beside them still look for: `max(y * 2)` beside `min(x)`.
+    let optimizer = &mut state.config_mut().options_mut().optimizer;
+    optimizer.enable_aggregate_dynamic_filter_pushdown = false;
+    state.register_function_rewrite(Arc::new(DoublesBesideDecimals))
 }
 
 #[cfg(test)]

@@ -100,9 +100,7 @@ fn within(mut term: Expr, schema: &DFSchema) -> Transformed<Expr> {
         }
         Expr::AggregateFunction(call) => {
             let is_distinct = call.params.distinct;
-            // What scans are told of the greatest number so far is compared by bits, too, and is told of columns alone.
-            let is_compared = is_distinct || call.func.name() == "max";
-            let args = is_compared && all_compared(&mut call.params.args, schema);
+            let args = is_distinct && all_compared(&mut call.params.args, schema);
             // A percentile's order is that of its argument.
             let is_sorted = is_distinct || !call.func.supports_within_group_clause();
             is_sorted && sorted(&mut call.params.order_by, schema) || args
