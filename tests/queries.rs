@@ -140,7 +140,8 @@ fn tables_of_logs() {
         context
     });
     check("logs.slt", context.clone());
-    check("integers.slt", context);
+    check("integers.slt", context.clone());
+    check("floats.slt", context);
 }
 
 /// A small map, with the folder that holds it.

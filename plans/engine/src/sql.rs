@@ -5,6 +5,7 @@ pub mod as_of;
 mod bounded;
 pub mod described;
 mod expanded;
+mod floats;
 mod inlined;
 mod literals;
 mod members;
@@ -46,6 +47,7 @@ use crate::nodes::light::LightBatches;
 use crate::sql::arguments::check_arguments;
 use crate::sql::bounded::{BYTES_PER_BATCH_ROW, bound_functions};
 use crate::sql::expanded::check_expanded;
+use crate::sql::floats::sound_floats;
 use crate::sql::inlined::check_inlined;
 use crate::sql::literals::check_literals;
 use crate::sql::members::{Members, check_members, mask_members};
@@ -104,9 +106,9 @@ pub const BATCH_ROWS: usize = 8192;
 /// Rows per batch at least.
 const MIN_BATCH_ROWS: usize = 64;
 
-/// A DataFusion context as all of evermap uses it: plain string types, a bounded memory pool, the functions on
-/// map layers, integers that do not wrap. Where memory is short, batches are small and joins merge; units, whose results must not depend on it,
-/// take [`context_with`].
+/// A DataFusion context as all of evermap uses it: plain string types, a bounded memory pool, the functions on map layers,
+/// integers that do not wrap, NaN that is the greatest number. Where memory is short, batches are small and joins merge;
+/// units, whose results must not depend on it, take [`context_with`].
 ///
 /// # Errors
 /// A resource fault when the runtime cannot be set up.
@@ -218,6 +220,7 @@ fn context_of(
     evermap_functions::register(&context);
     bound_functions(&context, limits.memory_bytes).or_fault()?;
     mask_members(&context).or_fault()?;
+    sound_floats(&context).or_fault()?;
     check_overflow(&context).or_fault()?;
     check_arguments(&context).or_fault()?;
     Ok(context)

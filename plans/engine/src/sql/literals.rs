@@ -106,7 +106,8 @@ fn text(value: &Expr) -> Option<(&ScalarValue, &str)> {
     Some((text, text.try_as_str()??))
 }
 
-fn is_comparison(operator: Operator) -> bool {
+/// Whether both sides are made alike, to be compared.
+pub fn is_comparison(operator: Operator) -> bool {
     matches!(
         operator,
         Operator::Eq

@@ -14,11 +14,12 @@ use datafusion::logical_expr::{
     SetMonotonicity, Signature,
 };
 
+use crate::sql::floats::{FloatSum, Moving};
 use crate::sql::overflow::intervals::{self, IntervalSum};
 use crate::sql::overflow::totals::{Adds, DistinctSum, Groups, Sum, WIDE, Whole};
 
-/// DataFusion's `sum` or `avg`, but for what would wrap in 64 bits. `sum` does not become `sum(x) + 1 * count(x)` where
-/// `sum(x + 1)` is asked for: that would be added without a check.
+/// DataFusion's `sum` or `avg`, but for what would wrap in 64 bits, and for floating point numbers of a window that moves.
+/// `sum` does not become `sum(x) + 1 * count(x)` where `sum(x + 1)` is asked for: that would be added without a check.
 #[derive(Debug, PartialEq, Eq, Hash)]
 pub struct CheckedSum {
     /// The function that adds up everything else.
@@ -131,8 +132,13 @@ impl AggregateUDFImpl for CheckedSum {
     }
 
     fn create_sliding_accumulator(&self, args: AccumulatorArgs) -> Result<Box<dyn Accumulator>> {
+        let is_float = *args.return_type() == DataType::Float64;
         match self.way(args.return_type()) {
             Some(_) => self.accumulator(args),
+            None if is_float && !args.is_distinct => {
+                let is_mean = self.adds == Adds::Mean;
+                Ok(Box::new(Moving::new(FloatSum { is_mean })))
+            }
             None => self.inner.create_sliding_accumulator(args),
         }
     }
