@@ -140,17 +140,40 @@ drop:
   [graph_poses, adjusted_poses, landmarks, map_frames, frame_poses, poses, antenna_positions, georeference]
 ";
 
+/// The adjusted poses of a drive, and nothing that is made of them.
+const JUST_POSES: &str = "
+plan: just_poses
+extends: metric_map
+drop: [landmarks, map_frames, frame_poses, poses, antenna_positions, georeference]
+";
+
 #[test]
 fn loops_are_the_same_where_the_features_do_not_fit_into_memory() {
+    let setting = "loop_closures.window_m=2.5";
+    let rows = "SELECT * FROM loop_closures";
+    is_the_same_where_features_do_not_fit(JUST_LOOPS, setting, rows);
+}
+
+#[test]
+fn adjusted_poses_are_the_same_where_the_features_do_not_fit_into_memory() {
+    let setting = "adjusted_poses.drop_sigmas=3.9";
+    let rows = "SELECT session, stamp, map_from_vehicle, array_length(observations) AS seen, md5(descriptors) AS looks \
+         FROM adjusted_poses";
+    is_the_same_where_features_do_not_fit(JUST_POSES, setting, rows);
+}
+
+/// Makes a step of the first drive's map anew, with this setting, from what is there: with memory for all features, and with
+/// less.
+fn is_the_same_where_features_do_not_fit(plan_text: &str, setting: &str, sql: &str) {
     let folder = tempfile::tempdir().unwrap();
     let first = &FirstDrive::get().map;
-    let plan = folder.path().join("just_loops.yaml");
-    std::fs::write(&plan, JUST_LOOPS).unwrap();
+    let plan = folder.path().join("plan.yaml");
+    std::fs::write(&plan, plan_text).unwrap();
     let session = first.parent().unwrap().join("world_initial/initial.mcap");
-    // What loops are made from is there; they are made anew. Gives them, and whether a table was in a file.
+    // Gives the rows, and whether a table was in a file.
     let made = |name: &str, memory: &str| {
         let map = copy(first, folder.path(), name);
-        let anew = ["--set", "loop_closures.window_m=2.5", "--memory", memory];
+        let anew = ["--set", setting, "--memory", memory];
         let more = [&FEWER[..], &anew, &["--sessions", text(&session)]].concat();
         let mut command = plan_command(text(&plan), &map, "park", &more);
         let ran = command.env("EVERMAP_LOG", "evermap_engine=debug").output();
@@ -158,7 +181,7 @@ fn loops_are_the_same_where_the_features_do_not_fit_into_memory() {
         let of_sides: Vec<&str> = told.split("side_file_bytes=").skip(1).collect();
         assert!(!of_sides.is_empty(), "{told}");
         let in_file = of_sides.iter().any(|bytes| !bytes.starts_with('0'));
-        (rows(&map, Some(2), "SELECT * FROM loop_closures"), in_file)
+        (rows(&map, Some(2), sql), in_file)
     };
     let (held, in_file) = made("held", "4GiB");
     assert!(!held.is_empty() && !in_file);

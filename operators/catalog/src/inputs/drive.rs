@@ -57,7 +57,8 @@ pub(crate) struct Drive<F = KeyframeFeatures> {
     pub(crate) keyframes: Vec<DriveKeyframe<F>>,
 }
 
-/// The rows of a keyframe's images in a row store, in the rig's order; none where a camera gave no features.
+/// The numbers by which a keyframe's images are found, in the rig's order: rows of a row store, as a rule. None where a
+/// camera gave no features.
 pub(crate) type StoredRows = Vec<Option<usize>>;
 
 /// The drives by session, from the rows of their keyframes and features and the ports `calibration` and `transforms`. A
@@ -85,20 +86,19 @@ pub(crate) fn drives(
     Ok(drives)
 }
 
-/// As [`drives`], of features that stay in their store: `images` are all rows of its catalogue.
+/// As [`drives`], of features that stay where they are: `images` have the numbers by which they are found there.
 ///
 /// # Errors
 /// As [`Sides::rows`].
 pub(crate) fn stored_drives(
     keyframes: Vec<Keyframe>,
-    images: Vec<FeaturedImage>,
+    images: impl IntoIterator<Item = (usize, FeaturedImage)>,
     sides: &Sides,
     vehicle: &VehicleFrame,
     emit: &mut Emit<'_>,
 ) -> Result<BTreeMap<String, Drive<StoredRows>>, Fault> {
     let mounted = rig::sessions(sides)?;
     let mut drives: BTreeMap<String, Drive<StoredRows>> = routes(keyframes);
-    let images = images.into_iter().enumerate();
     let mut images = by_session(images, |(_, image)| &image.session);
     for (session, drive) in &mut drives {
         let images = images.remove(session).unwrap_or_default();

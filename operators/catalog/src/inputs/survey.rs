@@ -1,18 +1,29 @@
 //! All drives of a site that have poses in its map, in one numbering.
 
+use std::borrow::Cow;
 use std::collections::{BTreeMap, BTreeSet};
 
 use evermap_algorithms::geometry::pose::Pose;
-use evermap_algorithms::metric_map::association::{FeatureRef, Scene};
-use evermap_algorithms::metric_map::features::DESCRIPTOR_BYTES;
-use evermap_contract::{Emit, Fault, Sides};
+use evermap_algorithms::metric_map::association::{Described, FeatureRef, Scene};
+use evermap_algorithms::metric_map::features::{
+    DESCRIPTOR_BYTES, Descriptor, ImageFeatures, KeyframeFeatures,
+};
+use evermap_contract::{Emit, Fault, FetchedRows, Sides};
 use evermap_schemas::layers::{
     AdjustedPose, Features, ImageSize, Keyframe, Observation, VehiclePose,
 };
-use evermap_schemas::{Bytes, Stamp};
+use evermap_schemas::{Bytes, Stamp, record};
 
-use super::drive::{Drive, drives};
+use super::drive::{Drive, FeaturedImage, StoredRows, descriptors, image_features, stored_drives};
 use super::rig::VehicleFrame;
+
+record! {
+    /// What the features of an image look like, and nothing else of a row of features.
+    pub struct ImageDescriptors {
+        /// Binary descriptors, 64 bytes each.
+        descriptors: Bytes,
+    }
+}
 
 /// A keyframe by its session and instant.
 pub(crate) type KeyframeName = (String, Stamp);
@@ -29,19 +40,29 @@ pub(crate) struct SurveyKeyframe {
     pub(crate) stamp: Stamp,
 }
 
-/// Drives that the map does not have yet.
+/// Drives that the map does not have yet. What their cameras saw are rows of the port `features`, which is fetched.
 #[derive(Default)]
 pub(crate) struct NewDrives {
     /// Where their keyframes are, about; keyframes without a pose are left out.
     pub(crate) poses: Vec<VehiclePose>,
     /// Their keyframes.
     pub(crate) keyframes: Vec<Keyframe>,
-    /// What their cameras saw.
-    pub(crate) features: Vec<Features>,
 }
 
-/// Keyframes with poses, images and features of a site. Each stretch of unbroken odometry is a session of the scene.
+/// What the features of an image look like.
 #[derive(Default)]
+enum Looks {
+    /// There are none.
+    #[default]
+    None,
+    /// The row of the port `features` that says it.
+    Stored(usize),
+    /// By feature.
+    Held(Vec<Descriptor>),
+}
+
+/// Keyframes with poses, images and features of a site. Each stretch of unbroken odometry is a session of the scene. What
+/// features look like is fetched when it is asked for.
 pub(crate) struct Survey {
     /// What was seen.
     pub(crate) scene: Scene,
@@ -55,14 +76,19 @@ pub(crate) struct Survey {
     cameras: BTreeMap<String, BTreeMap<String, u32>>,
     /// By image: the numbers of its features, where it does not have all of them.
     kept: BTreeMap<u32, Vec<u32>>,
+    /// By image.
+    looks: Vec<Looks>,
+    /// The rows of the port `features`.
+    stored: FetchedRows<ImageDescriptors>,
 }
 
 impl Survey {
     /// Of the keyframes that hold the map up, with the features that show its landmarks, and of new drives with all of
-    /// theirs; the rigs are those of the ports `calibration` and `transforms`. What cannot be used is counted.
+    /// theirs, which the port `features` has; the rigs are those of the ports `calibration` and `transforms`. What cannot be
+    /// used is counted.
     ///
     /// # Errors
-    /// As [`Sides::rows`].
+    /// As [`Sides::rows`], and when features cannot be fetched.
     pub(crate) fn new(
         known: &[AdjustedPose],
         new: NewDrives,
@@ -73,7 +99,6 @@ impl Survey {
         let NewDrives {
             poses,
             mut keyframes,
-            mut features,
         } = new;
         let sessions: BTreeSet<&str> = known.iter().map(|row| row.session.as_str()).collect();
         let is_new = |session: &str| !sessions.contains(session);
@@ -93,20 +118,41 @@ impl Survey {
         }
         let wanted = |session: &str| is_new(session) && by_session.contains_key(session);
         keyframes.retain(|row| wanted(&row.session));
-        features.retain(|row| wanted(&row.session));
         keyframes.extend(known.iter().map(keyframe));
-        features.extend(known.iter().flat_map(seen_features));
-        let mut survey = Self::default();
-        for (session, drive) in drives(keyframes, features, sides, vehicle, emit)? {
+        let mut named: Vec<(usize, FeaturedImage)> = sides
+            .rows::<FeaturedImage>("features")?
+            .into_iter()
+            .enumerate()
+            .collect();
+        let images = Images::new(named.len(), known, sides)?;
+        named.retain(|(_, image)| wanted(&image.session));
+        named.extend(images.known());
+        let mut survey = Self {
+            scene: Scene::default(),
+            poses: Vec::new(),
+            keyframes: Vec::new(),
+            numbers: BTreeMap::new(),
+            cameras: BTreeMap::new(),
+            kept: BTreeMap::new(),
+            looks: Vec::new(),
+            stored: sides.fetched("features")?,
+        };
+        for (session, drive) in stored_drives(keyframes, named, sides, vehicle, emit)? {
             if let Some(poses) = by_session.remove(&session) {
-                survey.add(session, drive, &poses);
+                survey.add(session, drive, &poses, &images)?;
             }
         }
         survey.number_features(known);
         Ok(survey)
     }
 
-    fn add(&mut self, session: String, drive: Drive, poses: &BTreeMap<Stamp, Pose>) {
+    fn add(
+        &mut self,
+        session: String,
+        drive: Drive<StoredRows>,
+        poses: &BTreeMap<Stamp, Pose>,
+        images: &Images<'_>,
+    ) -> Result<(), Fault> {
         let mut stretches: Vec<(u32, Vec<_>)> = Vec::new();
         let numbers = self.numbers.entry(session.clone()).or_default();
         for keyframe in drive.keyframes {
@@ -130,9 +176,15 @@ impl Survey {
         let cameras = drive.rig.cameras.iter().zip(0_u32..);
         let cameras = cameras.map(|(camera, at)| (camera.name.clone(), at));
         self.cameras.insert(session, cameras.collect());
+        let looks = &mut self.looks;
         for (_, kept) in stretches {
-            self.scene.add_session(&drive.rig, kept);
+            let seen = kept.into_iter().map(|(odom_from_vehicle, numbers)| {
+                let features = images.keyframe(&numbers, looks);
+                features.map(|features| (odom_from_vehicle, features))
+            });
+            self.scene.add_session(&drive.rig, seen)?;
         }
+        Ok(())
     }
 
     fn number_features(&mut self, known: &[AdjustedPose]) {
@@ -200,6 +252,80 @@ impl Survey {
     }
 }
 
+impl Described<Fault> for Survey {
+    fn descriptors(&self, image: u32) -> Result<Cow<'_, [Descriptor]>, Fault> {
+        match self.looks.get(image as usize) {
+            Some(Looks::Stored(row)) => {
+                let row = self.stored.row(*row)?;
+                Ok(Cow::Owned(descriptors(&row.descriptors).collect()))
+            }
+            Some(Looks::Held(looks)) => Ok(Cow::Borrowed(looks.as_slice())),
+            Some(Looks::None) | None => Ok(Cow::default()),
+        }
+    }
+}
+
+/// What images show, by number: first those of the port `features`, by row, then those of keyframes that hold the map up.
+struct Images<'a> {
+    stored: FetchedRows<Features>,
+    /// The number of the first one that is not stored.
+    first_known: usize,
+    known: Vec<(&'a AdjustedPose, &'a ImageSize)>,
+}
+
+impl<'a> Images<'a> {
+    fn new(rows: usize, known: &'a [AdjustedPose], sides: &Sides) -> Result<Self, Fault> {
+        let of_row = |row: &'a AdjustedPose| row.images.iter().map(move |size| (row, size));
+        Ok(Self {
+            stored: sides.fetched("features")?,
+            first_known: rows,
+            known: known.iter().flat_map(of_row).collect(),
+        })
+    }
+
+    /// Those that are not stored.
+    fn known(&self) -> impl Iterator<Item = (usize, FeaturedImage)> {
+        let image = |(row, size): &(&AdjustedPose, &ImageSize)| FeaturedImage {
+            session: row.session.clone(),
+            stamp: row.stamp,
+            camera: size.camera.clone(),
+            width: size.width,
+            height: size.height,
+        };
+        (self.first_known..).zip(self.known.iter().map(image))
+    }
+
+    /// What a keyframe's images show; notes what it looks like behind that of the images before.
+    fn keyframe(
+        &self,
+        numbers: &[Option<usize>],
+        looks: &mut Vec<Looks>,
+    ) -> Result<KeyframeFeatures, Fault> {
+        let mut images = Vec::with_capacity(numbers.len());
+        for number in numbers {
+            let (features, look) = match number {
+                Some(number) => self.image(*number)?,
+                None => Default::default(),
+            };
+            images.push(features);
+            looks.push(look);
+        }
+        Ok(KeyframeFeatures { images })
+    }
+
+    fn image(&self, number: usize) -> Result<(ImageFeatures, Looks), Fault> {
+        let Some(known) = number.checked_sub(self.first_known) else {
+            let features = image_features(&self.stored.row(number)?);
+            return Ok((features, Looks::Stored(number)));
+        };
+        let (row, size) = self.known[known];
+        let image = image_features(&seen_features(row, size));
+        let looks = image.features.iter().map(|feature| feature.descriptor);
+        let looks = Looks::Held(looks.collect());
+        Ok((image, looks))
+    }
+}
+
 /// A keyframe as far as the map keeps it.
 fn keyframe(row: &AdjustedPose) -> Keyframe {
     Keyframe {
@@ -231,28 +357,26 @@ fn observed<'a>(
     })
 }
 
-/// The features that a keyframe's observations show, by camera.
-fn seen_features(row: &AdjustedPose) -> impl Iterator<Item = Features> {
-    row.images.iter().map(|size| {
-        let mut features = Features {
-            site: row.site.clone(),
-            session: row.session.clone(),
-            stamp: row.stamp,
-            keyframe: row.keyframe,
-            camera: size.camera.clone(),
-            width: size.width,
-            height: size.height,
-            u: Vec::new(),
-            v: Vec::new(),
-            size_px: Vec::new(),
-            descriptors: Bytes::default(),
-        };
-        for (seen, descriptor) in observed(row, &size.camera) {
-            features.u.push(seen.u);
-            features.v.push(seen.v);
-            features.size_px.push(seen.size_px);
-            features.descriptors.0.extend(descriptor);
-        }
-        features
-    })
+/// The features that a keyframe's observations show in one of its images.
+fn seen_features(row: &AdjustedPose, size: &ImageSize) -> Features {
+    let mut features = Features {
+        site: row.site.clone(),
+        session: row.session.clone(),
+        stamp: row.stamp,
+        keyframe: row.keyframe,
+        camera: size.camera.clone(),
+        width: size.width,
+        height: size.height,
+        u: Vec::new(),
+        v: Vec::new(),
+        size_px: Vec::new(),
+        descriptors: Bytes::default(),
+    };
+    for (seen, descriptor) in observed(row, &size.camera) {
+        features.u.push(seen.u);
+        features.v.push(seen.v);
+        features.size_px.push(seen.size_px);
+        features.descriptors.0.extend(descriptor);
+    }
+    features
 }

@@ -4,7 +4,7 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use evermap_algorithms::geometry::pose::Pose;
 use evermap_algorithms::geometry::rig::RigCamera;
-use evermap_algorithms::metric_map::association::{FeatureRef, Landmark};
+use evermap_algorithms::metric_map::association::{FeatureRef, Landmark, descriptors_of};
 use evermap_algorithms::metric_map::mapping::{
     Candidate, Map, MapInput, MapObservation, MappingParams, SummaryParams, Touch, map, summary,
     touched,
@@ -33,7 +33,7 @@ impl Operator for BundleAdjustment {
         let poses = Port::site::<VehiclePose>("poses");
         let mut sides = vec![
             Port::site::<Keyframe>("keyframes"),
-            Port::site::<Features>("features"),
+            Port::site::<Features>("features").fetched(),
             Port::site::<Track>("tracks"),
         ];
         sides.extend(rig::ports(Reach::Site));
@@ -61,11 +61,7 @@ fn adjust(
         holding,
         untouched,
     } = Known::new(previous, &new_places(&poses, &keyframes), summary);
-    let new = NewDrives {
-        poses,
-        keyframes,
-        features: sides.take("features")?,
-    };
+    let new = NewDrives { poses, keyframes };
     // Who has neighbours that stay lies where they do.
     let whole = holding.is_empty() && untouched.is_empty();
     let frames = if whole {
@@ -79,7 +75,7 @@ fn adjust(
     // What they say is in the survey now, and takes as much again.
     drop(known);
     let tracks = tracks(&survey, sides.take("tracks")?, emit);
-    let found = map(
+    let found = map::<Fault>(
         &MapInput {
             scene: &survey.scene,
             poses: &survey.poses,
@@ -89,8 +85,9 @@ fn adjust(
             datum: &survey.among(&frames),
             first_new,
         },
+        &survey,
         &params.options,
-    );
+    )?;
     emit_all(&survey, &found, &site, untouched, emit)
 }
 
@@ -273,11 +270,12 @@ fn emit_all(
     let mut rows: Vec<(KeyframeName, Row)> = surveyed.chain(untouched).collect();
     rows.sort_by(|(a, _), (b, _)| a.cmp(b));
     let mut rows = rows.into_iter().map(|(_, row)| match row {
-        Row::Untouched(row) => *row,
+        Row::Untouched(row) => Ok(*row),
         Row::Adjusted(at, seen) => adjusted(survey, found, site, at, seen),
     });
     loop {
-        let some: Vec<AdjustedPose> = rows.by_ref().take(AT_A_TIME).collect();
+        let some = rows.by_ref().take(AT_A_TIME);
+        let some: Vec<AdjustedPose> = some.collect::<Result<_, Fault>>()?;
         if some.is_empty() {
             return Ok(());
         }
@@ -298,16 +296,17 @@ fn adjusted(
     site: &str,
     at: usize,
     mut seen: Vec<&MapObservation>,
-) -> AdjustedPose {
+) -> Result<AdjustedPose, Fault> {
     let (keyframe, of_scene) = (&survey.keyframes[at], &survey.scene.keyframes[at]);
     // Images stand in the order of the cameras' names, their features in that of their numbers.
     seen.sort_by_key(|seen| seen.feature);
     let observations = seen.iter();
     let observations = observations.map(|seen| observation(survey, found, seen));
-    let descriptors = seen.iter();
-    let descriptors = descriptors.flat_map(|seen| survey.scene.feature(seen.feature).descriptor.0);
+    let features: Vec<FeatureRef> = seen.iter().map(|seen| seen.feature).collect();
+    let descriptors = descriptors_of::<Fault>(survey, &features)?.into_iter();
+    let descriptors = descriptors.flat_map(|descriptor| descriptor.0);
     let rig = &survey.scene.rigs[of_scene.session as usize];
-    AdjustedPose {
+    Ok(AdjustedPose {
         site: site.to_owned(),
         session: keyframe.session.clone(),
         stamp: keyframe.stamp,
@@ -318,7 +317,7 @@ fn adjusted(
         observations: observations.collect(),
         descriptors: Bytes(descriptors.collect()),
         images: rig.cameras.iter().map(image_size).collect(),
-    }
+    })
 }
 
 fn observation(survey: &Survey, found: &Map, seen: &MapObservation) -> Observation {

@@ -1,7 +1,7 @@
 #![doc = include_str!("landmarks.md")]
 
 use evermap_algorithms::geometry::pose::Pose;
-use evermap_algorithms::metric_map::association::{FeatureRef, describe};
+use evermap_algorithms::metric_map::association::{FeatureRef, describe, descriptors_of};
 use evermap_algorithms::metric_map::features::FeatureNoise;
 use evermap_contract::{Emit, Fault, Key, Operator, Port, Reach, Sides, Work};
 use evermap_schemas::layers::{AdjustedPose, Landmark, Sighting, Sources};
@@ -70,7 +70,7 @@ fn landmarks(
     let found: Vec<Option<Landmark>> = seen
         .into_par_iter()
         .map(|(landmark, features)| maker.landmark(landmark, features))
-        .collect();
+        .collect::<Result<_, Fault>>()?;
     let found: Vec<Landmark> = found.into_iter().flatten().collect();
     emit.skip(
         "landmark cannot be triangulated",
@@ -87,14 +87,22 @@ struct Maker<'a> {
 }
 
 impl Maker<'_> {
-    fn landmark(&self, landmark: u32, mut features: Vec<FeatureRef>) -> Option<Landmark> {
+    fn landmark(
+        &self,
+        landmark: u32,
+        mut features: Vec<FeatureRef>,
+    ) -> Result<Option<Landmark>, Fault> {
         features.sort_unstable();
         features.dedup();
         let looks = self.options.looks;
-        let found = describe(&self.survey.scene, &self.cameras, &features, looks)?;
+        let seen = descriptors_of::<Fault>(self.survey, &features)?;
+        let found = describe(&self.survey.scene, &self.cameras, &features, &seen, looks);
+        let Some(found) = found else {
+            return Ok(None);
+        };
         let point: [f64; 3] = found.place.point.into();
         let descriptors = found.descriptors.iter().flat_map(|look| look.0);
-        Some(Landmark {
+        Ok(Some(Landmark {
             site: self.site.to_owned(),
             landmark,
             x: point[0],
@@ -111,7 +119,7 @@ impl Maker<'_> {
             sightings: self.sightings(&features),
             sources: self.sources(&features),
             geometry: Wkb::point(point),
-        })
+        }))
     }
 
     fn sightings(&self, features: &[FeatureRef]) -> Vec<Sighting> {

@@ -44,6 +44,7 @@ fn loop_closures(
     let new: BTreeSet<String> = images.iter().map(|row| row.session.clone()).collect();
     emit.rows(known(sides.take("previous")?, &keyframes, &new))?;
     keyframes.retain(|row| new.contains(&row.session));
+    let images = images.into_iter().enumerate();
     let drives = stored_drives(keyframes, images, &sides, &params.vehicle, emit)?;
     let mut tracks = tracks(sides.take("tracks")?, &drives, emit);
     let features = sides.fetched("features")?;

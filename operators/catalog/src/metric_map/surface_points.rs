@@ -41,6 +41,7 @@ fn points(
     let first = &rows[0];
     let (site, session) = (first.site.clone(), first.session.clone());
     let (keyframes, images) = (sides.rows("keyframes")?, sides.rows("features")?);
+    let images = images.into_iter().enumerate();
     let mut drives = stored_drives(keyframes, images, &sides, &params.vehicle, emit)?;
     if let Some(drive) = drives.get_mut(&session) {
         place(drive, sides.rows("poses")?, emit);

@@ -387,6 +387,21 @@ fn rough_poses_become_exact_and_landmarks_are_described() {
 }
 
 #[test]
+fn observations_look_like_their_features_whether_those_are_fetched_or_kept() {
+    let (a, b) = (drive("a", 0.0), drive("b", 0.2));
+    let first = adjusted(&a, Vec::new(), Vec::new(), json!({}));
+    let both = adjusted(&b, first, Vec::new(), json!({}));
+    for row in &both {
+        let of_row = if row.session == "a" { &a } else { &b };
+        let features = &of_row.features[row.keyframe as usize];
+        let looks: Vec<&[u8]> = features.descriptors.0.chunks_exact(64).collect();
+        let seen = row.observations.iter();
+        let seen: Vec<&[u8]> = seen.map(|seen| looks[seen.feature as usize]).collect();
+        assert!(!seen.is_empty() && row.descriptors.0 == seen.concat());
+    }
+}
+
+#[test]
 fn a_site_adjusted_by_regions_has_the_poses_of_one_piece() {
     let drive = drive("a", 0.0);
     let whole = adjusted(&drive, Vec::new(), Vec::new(), json!({}));

@@ -2,7 +2,7 @@
 
 use nalgebra::Vector3;
 
-use super::scene::{FeatureRef, Scene};
+use super::scene::FeatureRef;
 use crate::geometry::pose::Pose;
 use crate::metric_map::features::Descriptor;
 use crate::metric_map::visibility::Seen;
@@ -30,23 +30,24 @@ pub(super) struct Sighting<'a> {
     pub(super) descriptor: &'a Descriptor,
 }
 
-/// How features show a landmark at a point, in their order. `map_from_cameras` are the poses of all images.
+/// How features, which look like these descriptors, show a landmark at a point, in their order. `map_from_cameras` are the
+/// poses of all images.
 pub(super) fn sightings<'a>(
-    scene: &'a Scene,
     map_from_cameras: &[Pose],
     point: &Vector3<f64>,
     features: &[FeatureRef],
+    descriptors: &'a [Descriptor],
 ) -> Vec<Sighting<'a>> {
-    let sighting = |feature: &FeatureRef| {
+    let sighting = |(feature, descriptor): (&FeatureRef, &'a Descriptor)| {
         let away = map_from_cameras[feature.image as usize].translation - point;
         let range_m = away.norm().max(NEAREST_M);
         Sighting {
             direction: away / range_m,
             range_m,
-            descriptor: &scene.feature(*feature).descriptor,
+            descriptor,
         }
     };
-    features.iter().map(sighting).collect()
+    features.iter().zip(descriptors).map(sighting).collect()
 }
 
 /// Groups sightings of a landmark by direction and range, and gives the medoid of each group: the index of the sighting

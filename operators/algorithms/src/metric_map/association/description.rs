@@ -28,19 +28,20 @@ pub struct Description {
     pub descriptors: Vec<Descriptor>,
 }
 
-/// The landmark that shows as these features, with `looks` descriptors at most. `map_from_cameras` are the poses of all
-/// images. `None` where the features cannot be triangulated.
+/// The landmark that shows as these features, which look like `descriptors`, with `looks` of them at most.
+/// `map_from_cameras` are the poses of all images. `None` where the features cannot be triangulated.
 pub fn describe(
     scene: &Scene,
     map_from_cameras: &[Pose],
     features: &[FeatureRef],
+    descriptors: &[Descriptor],
     looks: usize,
 ) -> Option<Description> {
     let sights = features.iter();
     let sights = sights.filter_map(|feature| scene.sight(map_from_cameras, *feature));
     let sights: Vec<Sight> = sights.collect();
     let place = triangulate(&sights)?;
-    let sightings = sightings(scene, map_from_cameras, &place.point, features);
+    let sightings = sightings(map_from_cameras, &place.point, features, descriptors);
     let Seen {
         view,
         view_cos,
@@ -68,6 +69,8 @@ fn rms_px(sights: &[Sight], point: &Vector3<f64>) -> f64 {
 #[cfg(test)]
 mod tests {
     #![allow(clippy::unwrap_used)]
+    use std::convert::Infallible;
+
     use super::*;
     use crate::geometry::camera::Camera;
     use crate::geometry::rig::{Rig, RigCamera};
@@ -98,11 +101,13 @@ mod tests {
             (*pose, KeyframeFeatures { images })
         };
         let mut scene = Scene::default();
-        scene.add_session(&rig, poses.iter().map(keyframe));
+        let keyframes = poses.iter().map(keyframe).map(Ok::<_, Infallible>);
+        scene.add_session(&rig, keyframes).unwrap();
         let features = [0, 1, 2].map(|image| FeatureRef { image, feature: 0 });
         let cameras = scene.map_from_cameras(&poses);
 
-        let found = describe(&scene, &cameras, &features, 4).unwrap();
+        let seen = [Descriptor([7; DESCRIPTOR_BYTES]); 3];
+        let found = describe(&scene, &cameras, &features, &seen, 4).unwrap();
         assert!((found.place.point - point).norm() < 1e-6);
         assert!(found.rms_px < 1e-6);
         assert!((found.view + Vector3::z()).norm() < 1e-6);
@@ -110,9 +115,9 @@ mod tests {
         assert!((found.near_m - 4.0).abs() < 1e-6);
         assert!((found.far_m - 17_f64.sqrt()).abs() < 1e-6);
         // The middle one looks like the first one, 14 degrees away; the last one, 28 degrees away, does not.
-        assert_eq!(found.descriptors, [Descriptor([7; DESCRIPTOR_BYTES]); 2]);
-        let found = describe(&scene, &cameras, &features, 1).unwrap();
+        assert_eq!(found.descriptors, seen[..2]);
+        let found = describe(&scene, &cameras, &features, &seen, 1).unwrap();
         assert_eq!(found.descriptors.len(), 1);
-        assert!(describe(&scene, &cameras, &features[..1], 4).is_none());
+        assert!(describe(&scene, &cameras, &features[..1], &seen[..1], 4).is_none());
     }
 }

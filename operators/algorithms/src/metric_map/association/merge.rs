@@ -7,7 +7,7 @@ use rayon::prelude::*;
 
 use super::point::{Sight, triangulate};
 use super::search::{Hit, Search};
-use super::{AssociationParams, FeatureRef, Landmark, Scene};
+use super::{AssociationParams, Described, FeatureRef, Landmark, Scene};
 use crate::geometry::pose::Pose;
 use crate::solving::parts::{first, join};
 
@@ -22,13 +22,17 @@ const NONE: u32 = u32::MAX;
 /// Looks for every landmark in all images that may show it, and makes one of those that turn out to be the same.
 /// `poses` are `map_from_vehicle` of the scene's keyframes. Features appear in at most one landmark, before and after.
 /// Given are the landmarks in the order of the ones given; merged ones take the place of the earliest.
-pub fn associate(
+///
+/// # Errors
+/// As [`Described::descriptors`].
+pub fn associate<E: Send>(
     scene: &Scene,
+    described: &dyn Described<E>,
     poses: &[Pose],
     landmarks: &[Landmark],
     params: &AssociationParams,
-) -> Vec<Landmark> {
-    let hits = Search::new(scene, poses, landmarks, params).hits();
+) -> Result<Vec<Landmark>, E> {
+    let hits = Search::new(scene, described, poses, landmarks, params)?.hits()?;
     let owners = owners(scene, landmarks);
     let mut votes: Vec<((u32, u32), u32)> = Vec::new();
     let mut free: Vec<(u32, Hit)> = Vec::new();
@@ -47,7 +51,7 @@ pub fn associate(
     for (_, hit) in free {
         groups.add(hit.landmark, hit.feature);
     }
-    groups.finish()
+    Ok(groups.finish())
 }
 
 /// The pairs of landmarks that enough images say to be one, first those that most say it of; `votes` have the bits in which

@@ -27,13 +27,16 @@
 //! Tardós 2015, V-D and VI-B); the ratio test is Lowe's (2004, 7.1).
 
 mod appearance;
+mod described;
 mod description;
 mod merge;
 mod point;
 mod resight;
 mod scene;
 mod search;
+mod target;
 
+pub use described::{Described, descriptors_of};
 pub use description::{Description, describe};
 pub use merge::associate;
 pub use point::{LandmarkPoint, Sight, triangulate};

@@ -9,7 +9,7 @@ use super::point::Sight;
 use crate::geometry::camera::Camera;
 use crate::geometry::pose::Pose;
 use crate::geometry::rig::{Rig, RigCamera};
-use crate::metric_map::features::{Blur, Descriptor, Feature, KeyframeFeatures};
+use crate::metric_map::features::{Blur, Feature, KeyframeFeatures};
 
 /// A feature of an image of a [`Scene`].
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
@@ -20,15 +20,13 @@ pub struct FeatureRef {
     pub feature: u32,
 }
 
-/// A feature with the ray that it was seen along, in single precision: there are millions, and it errs by a
-/// ten-thousandth of a pixel.
+/// Where a feature is, with the ray that it was seen along, in single precision: there are millions, and it errs by a
+/// ten-thousandth of a pixel. What it looks like is to be [fetched](super::Described).
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct SceneFeature {
     pixel: [f32; 2],
     size_px: f32,
     ray: Option<Vector3<f32>>,
-    /// What it looks like.
-    pub descriptor: Descriptor,
 }
 
 impl SceneFeature {
@@ -37,7 +35,6 @@ impl SceneFeature {
             pixel: feature.pixel.map(|at| at as f32),
             size_px: feature.size_px as f32,
             ray: camera.unproject(feature.pixel).map(|ray| ray.cast()),
-            descriptor: feature.descriptor,
         }
     }
 
@@ -114,11 +111,14 @@ const BLOCK: usize = 64;
 
 impl Scene {
     /// Adds a session with its keyframes in driven order: odometry pose and features. Gives the session's number.
-    pub fn add_session(
+    ///
+    /// # Errors
+    /// The first of the keyframes'; the scene is of no use then.
+    pub fn add_session<E>(
         &mut self,
         rig: &Rig,
-        keyframes: impl IntoIterator<Item = (Pose, KeyframeFeatures)>,
-    ) -> u32 {
+        keyframes: impl IntoIterator<Item = Result<(Pose, KeyframeFeatures), E>>,
+    ) -> Result<u32, E> {
         let session = self.rigs.len() as u32;
         self.rigs.push(rig.clone());
         let first_camera = self.cameras.len();
@@ -129,7 +129,8 @@ impl Scene {
         let mut sizes: Vec<Vec<f64>> = vec![Vec::new(); rig.cameras.len()];
         let mut keyframes = keyframes.into_iter();
         loop {
-            let block: Vec<_> = keyframes.by_ref().take(BLOCK).collect();
+            let block = keyframes.by_ref().take(BLOCK);
+            let block: Vec<_> = block.collect::<Result<_, E>>()?;
             if block.is_empty() {
                 break;
             }
@@ -154,7 +155,7 @@ impl Scene {
             }
         }
         self.blurs.extend(sizes.into_iter().map(Blur::new));
-        session
+        Ok(session)
     }
 
     /// Whether there is such a feature.

@@ -1,17 +1,19 @@
 //! Landmarks sought in the images that may show them.
 
+use std::borrow::Cow;
+
 use nalgebra::Vector3;
 use rayon::prelude::*;
 
-use super::appearance::{appearances, seen, sightings};
+use super::described::Described;
 use super::point::LineOfSight;
 use super::resight::{Resighting, agreed_pose};
+use super::target::{Target, targets};
 use super::{AssociationParams, FeatureRef, Landmark, Scene, SceneFeature};
 use crate::geometry::pose::Pose;
 use crate::metric_map::features::Descriptor;
 use crate::metric_map::matching::{FeatureGrid, MatchLimits, squared_distance};
 use crate::metric_map::visibility::{Reaches, Visibility};
-use crate::solving::median::median;
 
 /// A feature nearer than this to the best one, pixels, is no rival: key points of several scales lie on one corner.
 const SAME_PLACE_PX: f64 = 2.0;
@@ -27,24 +29,6 @@ pub struct Hit {
     pub bits: u32,
 }
 
-/// A feature that stands for what a landmark looks like from about a place.
-#[derive(Clone, Copy)]
-struct Appearance {
-    /// Unit vector from the landmark to the camera.
-    direction: Vector3<f32>,
-    /// Logarithm of the camera's distance to the base 2.
-    octave: f32,
-    feature: FeatureRef,
-}
-
-/// What the search needs to know of a landmark.
-struct Target {
-    point: Vector3<f64>,
-    appearances: Vec<Appearance>,
-    /// Feature size times range, median: the landmark's own size, pixel metres.
-    size_px_m: f64,
-}
-
 /// A landmark that an image may show.
 #[derive(Clone, Copy)]
 struct Candidate {
@@ -56,9 +40,18 @@ struct Candidate {
     alone: bool,
 }
 
+/// An image that landmarks are sought in.
+struct Image<'a> {
+    grid: FeatureGrid,
+    features: &'a [SceneFeature],
+    /// Of the features.
+    descriptors: Cow<'a, [Descriptor]>,
+}
+
 /// Prepared for searching any keyframe.
-pub(super) struct Search<'a> {
+pub(super) struct Search<'a, E> {
     scene: &'a Scene,
+    described: &'a dyn Described<E>,
     poses: &'a [Pose],
     params: &'a AssociationParams,
     targets: Vec<Target>,
@@ -69,18 +62,16 @@ pub(super) struct Search<'a> {
     known: Vec<Vec<u32>>,
 }
 
-impl<'a> Search<'a> {
+impl<'a, E: Send> Search<'a, E> {
     pub(super) fn new(
         scene: &'a Scene,
+        described: &'a dyn Described<E>,
         poses: &'a [Pose],
         landmarks: &'a [Landmark],
         params: &'a AssociationParams,
-    ) -> Self {
+    ) -> Result<Self, E> {
         let cameras = scene.map_from_cameras(poses);
-        let sought = landmarks.par_iter();
-        let (targets, visibilities): (Vec<Target>, Vec<Visibility>) = sought
-            .map(|landmark| target(scene, &cameras, landmark, params))
-            .unzip();
+        let (targets, visibilities) = targets(scene, described, &cameras, landmarks, params)?;
         let reaches = Reaches::new((0..).zip(&visibilities), &scene.cameras);
         let mut known = vec![Vec::new(); scene.images.len()];
         for (landmark, at) in landmarks.iter().zip(0..) {
@@ -88,19 +79,20 @@ impl<'a> Search<'a> {
                 known[feature.image as usize].push(at);
             }
         }
-        Self {
+        Ok(Self {
             scene,
+            described,
             poses,
             params,
             targets,
             visibilities,
             reaches,
             known,
-        }
+        })
     }
 
     /// Hits of all keyframes, in the keyframes' order.
-    pub(super) fn hits(&self) -> Vec<Hit> {
+    pub(super) fn hits(&self) -> Result<Vec<Hit>, E> {
         let keyframes = 0..self.scene.keyframes.len() as u32;
         let found: Vec<Vec<Hit>> = keyframes
             .into_par_iter()
@@ -108,26 +100,31 @@ impl<'a> Search<'a> {
                 || vec![u32::MAX; self.targets.len()],
                 |marks, keyframe| self.keyframe(keyframe, marks),
             )
-            .collect();
-        found.into_iter().flatten().collect()
+            .collect::<Result<_, E>>()?;
+        Ok(found.into_iter().flatten().collect())
     }
 
     /// Hits of a keyframe that agree with each other. `marks` is scratch: by landmark, the last keyframe of a thread that
     /// has it in its visit.
-    fn keyframe(&self, keyframe: u32, marks: &mut [u32]) -> Vec<Hit> {
-        let images = self.scene.keyframes[keyframe as usize].images.clone();
-        let grids: Vec<FeatureGrid> = images.map(|image| self.grid(image)).collect();
+    fn keyframe(&self, keyframe: u32, marks: &mut [u32]) -> Result<Vec<Hit>, E> {
         for landmark in self.of_visit(keyframe) {
             marks[*landmark as usize] = keyframe;
         }
-        let candidates = self.candidates(keyframe).into_iter();
-        let (own, others): (Vec<Candidate>, Vec<Candidate>) =
-            candidates.partition(|candidate| marks[candidate.landmark as usize] == keyframe);
-        let own = self.agreeing(keyframe, &grids, own, 0);
-        let others = self.agreeing(keyframe, &grids, others, self.params.min_agreeing);
+        let candidates = self.candidates(keyframe);
+        if candidates.is_empty() {
+            return Ok(Vec::new());
+        }
+        let images = self.scene.keyframes[keyframe as usize].images.clone();
+        let images = images.map(|image| self.image(image));
+        let images: Vec<Image<'_>> = images.collect::<Result<_, E>>()?;
+        let (own, others): (Vec<Candidate>, Vec<Candidate>) = candidates
+            .into_iter()
+            .partition(|candidate| marks[candidate.landmark as usize] == keyframe);
+        let own = self.agreeing(keyframe, &images, own, 0);
+        let others = self.agreeing(keyframe, &images, others, self.params.min_agreeing);
         let mut hits: Vec<Hit> = own.into_iter().chain(others).flatten().collect();
         hits.sort_unstable();
-        hits
+        Ok(hits)
     }
 
     /// Seeks landmarks, finds the motion that the hits agree on, and seeks again from there; nothing where fewer than
@@ -135,7 +132,7 @@ impl<'a> Search<'a> {
     fn agreeing(
         &self,
         keyframe: u32,
-        grids: &[FeatureGrid],
+        images: &[Image<'_>],
         mut candidates: Vec<Candidate>,
         least: usize,
     ) -> Option<Vec<Hit>> {
@@ -151,7 +148,7 @@ impl<'a> Search<'a> {
             (hits.len() >= least).then(|| agreed_pose(&seen, pose, from_px, agree_px / 2.0))
         };
         let cameras = self.cameras(keyframe, pose);
-        let hits = self.seek(&cameras, first, grids, &mut candidates, radius_px);
+        let hits = self.seek(&cameras, first, images, &mut candidates, radius_px);
         let pose = agreed(&hits, pose, radius_px)?;
         let cameras = self.cameras(keyframe, &pose);
         let smaller_px = radius_px.min(agree_px);
@@ -166,7 +163,7 @@ impl<'a> Search<'a> {
             candidate.pixel = pixel;
             !(candidate.alone && inside)
         });
-        let mut hits = self.seek(&cameras, first, grids, &mut candidates, smaller_px);
+        let mut hits = self.seek(&cameras, first, images, &mut candidates, smaller_px);
         let vehicle_from_map = agreed(&hits, &pose, agree_px)?.inverse();
         hits.retain(|hit| {
             let off_px = self.resighting(hit).residual_px(&vehicle_from_map);
@@ -194,10 +191,15 @@ impl<'a> Search<'a> {
         }
     }
 
-    fn grid(&self, image: u32) -> FeatureGrid {
-        let features = self.scene.images[image as usize].features.iter();
+    fn image(&self, image: u32) -> Result<Image<'a>, E> {
+        let features = &self.scene.images[image as usize].features;
         let nowhere = [f64::NAN, f64::NAN];
-        FeatureGrid::new(features.map(|feature| feature.ray().map_or(nowhere, |_| feature.pixel())))
+        let pixel = |feature: &SceneFeature| feature.ray().map_or(nowhere, |_| feature.pixel());
+        Ok(Image {
+            grid: FeatureGrid::new(features.iter().map(pixel)),
+            features,
+            descriptors: self.described.descriptors(image)?,
+        })
     }
 
     /// The landmarks that keyframes shortly before or after saw, and this one.
@@ -252,13 +254,13 @@ impl<'a> Search<'a> {
         &self,
         cameras: &[Pose],
         first: u32,
-        grids: &[FeatureGrid],
+        images: &[Image<'_>],
         candidates: &mut [Candidate],
         radius_px: f64,
     ) -> Vec<Hit> {
         let look = |candidate: &mut Candidate| {
             let at = (candidate.image - first) as usize;
-            self.look_for(candidate, &cameras[at].translation, &grids[at], radius_px)
+            self.look_for(candidate, &cameras[at].translation, &images[at], radius_px)
         };
         candidates.iter_mut().filter_map(look).collect()
     }
@@ -267,7 +269,7 @@ impl<'a> Search<'a> {
         &self,
         candidate: &mut Candidate,
         camera: &Vector3<f64>,
-        grid: &FeatureGrid,
+        shown: &Image<'_>,
         radius_px: f64,
     ) -> Option<Hit> {
         let Candidate {
@@ -276,27 +278,25 @@ impl<'a> Search<'a> {
             pixel,
             ..
         } = *candidate;
-        let mut within = grid.near(pixel, radius_px).peekable();
+        let mut within = shown.grid.near(pixel, radius_px).peekable();
         candidate.alone = within.peek().is_none();
         if candidate.alone {
             return None;
         }
         let target = &self.targets[landmark as usize];
-        let features = &self.scene.images[image as usize].features;
         let away = camera - target.point;
         let range_m = away.norm();
         let size_px = target.size_px_m / range_m;
         let fits = |at: &u32| {
-            let ratio = features[*at as usize].size_px() / size_px;
+            let ratio = shown.features[*at as usize].size_px() / size_px;
             (1.0 / self.params.scale_factor..=self.params.scale_factor).contains(&ratio)
         };
         let near: Vec<u32> = within.filter(fits).collect();
         if near.is_empty() {
             return None;
         }
-        let nearest = target.nearest_appearances(&(away / range_m), range_m);
-        let looks = nearest.map(|found| Some(&self.scene.feature(found?).descriptor));
-        let (feature, bits) = unrivalled(looks, features, &near, &self.params.limits)?;
+        let looks = target.nearest_appearances(&(away / range_m), range_m);
+        let (feature, bits) = unrivalled(looks, shown, &near, &self.params.limits)?;
         Some(Hit {
             landmark,
             feature: FeatureRef { image, feature },
@@ -305,82 +305,26 @@ impl<'a> Search<'a> {
     }
 }
 
-impl Target {
-    /// The features that show it from the two most similar places: by direction first, a range twice as far counting like
-    /// a radian.
-    fn nearest_appearances(
-        &self,
-        direction: &Vector3<f64>,
-        range_m: f64,
-    ) -> [Option<FeatureRef>; 2] {
-        let (direction, octave): (Vector3<f32>, f32) = (direction.cast(), range_m.log2() as f32);
-        let mut nearest: [Option<(f32, FeatureRef)>; 2] = [None, None];
-        for appearance in &self.appearances {
-            let across = (appearance.direction - direction).norm();
-            let apart = across + (appearance.octave - octave).abs();
-            let found = Some((apart, appearance.feature));
-            if nearest[0].is_none_or(|(best, _)| apart < best) {
-                nearest = [found, nearest[0]];
-            } else if nearest[1].is_none_or(|(best, _)| apart < best) {
-                nearest[1] = found;
-            }
-        }
-        nearest.map(|found| found.map(|(_, feature)| feature))
-    }
-}
-
 /// The feature that looks most like one of the descriptors, if it is alike enough and no other one is nearly as much; and in
 /// how many bits it differs.
 fn unrivalled(
     looks: [Option<&Descriptor>; 2],
-    features: &[SceneFeature],
+    image: &Image<'_>,
     near: &[u32],
     limits: &MatchLimits,
 ) -> Option<(u32, u32)> {
     let bits = |at: &u32| {
         let looks = looks.iter().flatten();
-        let bits = looks.map(|look| look.distance(&features[*at as usize].descriptor));
+        let bits = looks.map(|look| look.distance(&image.descriptors[*at as usize]));
         (bits.min().unwrap_or(u32::MAX), *at)
     };
     let near: Vec<(u32, u32)> = near.iter().map(bits).collect();
     let (bits, best) = *near.iter().min()?;
-    let at = features[best as usize].pixel();
+    let at = image.features[best as usize].pixel();
     let elsewhere = |other: u32| {
-        squared_distance(features[other as usize].pixel(), at) > SAME_PLACE_PX * SAME_PLACE_PX
+        squared_distance(image.features[other as usize].pixel(), at) > SAME_PLACE_PX * SAME_PLACE_PX
     };
     let rivals = near.iter().filter(|(_, other)| elsewhere(*other));
     let rival = rivals.map(|(bits, _)| *bits).min();
     limits.accept(bits, rival).then_some((best, bits))
-}
-
-/// What is sought of a landmark, and from where it may be seen.
-fn target(
-    scene: &Scene,
-    cameras: &[Pose],
-    landmark: &Landmark,
-    params: &AssociationParams,
-) -> (Target, Visibility) {
-    let sightings = sightings(scene, cameras, &landmark.point, &landmark.features);
-    let features = landmark.features.iter().zip(&sightings);
-    let sizes = features.map(|(feature, look)| scene.feature(*feature).size_px() * look.range_m);
-    let appearance = |at: usize| Appearance {
-        direction: sightings[at].direction.cast(),
-        octave: sightings[at].range_m.log2() as f32,
-        feature: landmark.features[at],
-    };
-    let visibility = Visibility::new(
-        landmark.point,
-        &seen(&sightings),
-        params.view_margin_rad,
-        params.scale_factor,
-    );
-    let target = Target {
-        point: landmark.point,
-        appearances: appearances(&sightings)
-            .into_iter()
-            .map(appearance)
-            .collect(),
-        size_px_m: median(sizes.collect()).unwrap_or(0.0),
-    };
-    (target, visibility)
 }

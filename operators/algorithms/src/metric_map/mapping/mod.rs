@@ -28,7 +28,9 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::geometry::pose::Pose;
-use crate::metric_map::association::{AssociationParams, FeatureRef, Landmark, Scene, associate};
+use crate::metric_map::association::{
+    AssociationParams, Described, FeatureRef, Landmark, Scene, associate,
+};
 
 pub use adjust::{AdjustParams, Until};
 pub use summary::{Candidate, SummaryParams, Touch, summary, touched};
@@ -129,8 +131,16 @@ pub struct Map {
     pub odometry_scales: Vec<f64>,
 }
 
-/// Makes a map. Without landmarks that can be triangulated the poses stay as they are.
-pub fn map(input: &MapInput<'_>, params: &MappingParams) -> Map {
+/// Makes a map of a scene whose features are described elsewhere. Without landmarks that can be triangulated the poses stay as
+/// they are.
+///
+/// # Errors
+/// As [`Described::descriptors`].
+pub fn map<E: Send>(
+    input: &MapInput<'_>,
+    described: &dyn Described<E>,
+    params: &MappingParams,
+) -> Result<Map, E> {
     let MapInput { scene, .. } = *input;
     let mut poses = input.poses.to_vec();
     let mut landmarks = prune::first(input, params);
@@ -140,7 +150,7 @@ pub fn map(input: &MapInput<'_>, params: &MappingParams) -> Map {
             radius_px,
             ..params.association
         };
-        let found = associate(scene, &poses, &landmarks, &association);
+        let found = associate(scene, described, &poses, &landmarks, &association)?;
         let gate_px = association.agree_px.max(0.75 * radius_px);
         landmarks = prune::prune(scene, &poses, found, gate_px, params);
         let until = params.adjust.between;
@@ -171,7 +181,7 @@ pub fn map(input: &MapInput<'_>, params: &MappingParams) -> Map {
         let motion = datum::motion_back(&of_datum(input.poses), &of_datum(&map.poses));
         map.moved(&motion);
     }
-    map
+    Ok(map)
 }
 
 /// From the first to the last radius in equal factors.

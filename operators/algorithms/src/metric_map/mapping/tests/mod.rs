@@ -12,7 +12,19 @@ use crate::metric_map::association::{
 
 mod simulated;
 
-use simulated::{Hall, Simulated, simulate};
+use simulated::{Album, Hall, Simulated, simulate};
+
+/// A map of sessions that look as they do.
+fn map_of(input: &MapInput<'_>, sessions: &[&Simulated], params: &MappingParams) -> Map {
+    map(input, &album(sessions), params).unwrap()
+}
+
+fn album<'a>(sessions: &[&'a Simulated]) -> Album<'a> {
+    Album {
+        sessions: sessions.to_vec(),
+        missing: None,
+    }
+}
 
 fn landmarks(scene: &Scene, poses: &[Pose], tracks: Vec<Vec<FeatureRef>>) -> Vec<Landmark> {
     let cameras = scene.map_from_cameras(poses);
@@ -70,7 +82,8 @@ fn tracks_of_one_mark_become_one_landmark() {
         radius_px: 12.0,
         ..AssociationParams::default()
     };
-    let found = associate(&scene, &poses, &landmarks, &params);
+    let seen = album(&[&session]);
+    let found = associate(&scene, &seen, &poses, &landmarks, &params).unwrap();
     assert!(found.len() < landmarks.len());
     let mut features: Vec<FeatureRef> = Vec::new();
     for landmark in &found {
@@ -141,7 +154,7 @@ fn mapped(hall: &Hall) -> (f64, Map, Simulated) {
     let guess = session.guess(0.25, 0.03);
     assert!(error_m(&guess, &session.truth) > 0.2);
     let input = nothing_mapped(&scene, &guess, &tracks);
-    let found = map(&input, &MappingParams::default());
+    let found = map_of(&input, &[&session], &MappingParams::default());
     assert_eq!(found.poses[0], guess[0]);
     (error_m(&found.poses, &session.truth), found, session)
 }
@@ -170,10 +183,10 @@ fn a_map_by_regions_is_that_in_one_piece() {
     let tracks = session.add_to(&mut scene);
     let guess = session.guess(0.25, 0.03);
     let input = nothing_mapped(&scene, &guess, &tracks);
-    let whole = map(&input, &MappingParams::default());
+    let whole = map_of(&input, &[&session], &MappingParams::default());
     let mut params = MappingParams::default();
     params.adjust.region_keyframes = Some(30);
-    let found = map(&input, &params);
+    let found = map_of(&input, &[&session], &params);
     let poses = whole.poses.iter().zip(&found.poses);
     let apart = poses.map(|(a, b)| (a.translation - b.translation).norm());
     let apart_m = apart.fold(0.0, f64::max);
@@ -199,8 +212,23 @@ fn nothing_seen_leaves_poses_where_they_are() {
     session.add_to(&mut scene);
     let guess = session.guess(0.25, 0.03);
     let input = nothing_mapped(&scene, &guess, &[]);
-    let found = map(&input, &MappingParams::default());
+    let found = map_of(&input, &[&session], &MappingParams::default());
     assert!(found.landmarks.is_empty() && found.poses[0] == guess[0]);
+}
+
+#[test]
+fn descriptors_that_cannot_be_fetched_are_told() {
+    let session = simulate(&small());
+    let mut scene = Scene::default();
+    let tracks = session.add_to(&mut scene);
+    let guess = session.guess(0.25, 0.03);
+    let input = nothing_mapped(&scene, &guess, &tracks);
+    let seen = Album {
+        missing: Some(7),
+        ..album(&[&session])
+    };
+    let found = map(&input, &seen, &MappingParams::default());
+    assert_eq!(found, Err("no descriptors of 7".to_owned()));
 }
 
 /// The poses with a turn added at each step, so that the last one is `off_m` beside where it was.
@@ -233,7 +261,7 @@ fn a_bent_map_is_straightened_by_a_revisit() {
     let tracks = base.add_to(&mut scene);
     let guess = base.guess(0.0, 0.0);
     let input = nothing_mapped(&scene, &guess, &tracks);
-    let straight = map(&input, &MappingParams::default());
+    let straight = map_of(&input, &[&base], &MappingParams::default());
     let mut poses = bent(&straight.poses, 1.0);
     let off_m = |poses: &[Pose]| {
         let off = poses.iter().zip(&straight.poses);
@@ -271,7 +299,7 @@ fn a_bent_map_is_straightened_by_a_revisit() {
             .max()
             .unwrap(),
     };
-    let found = map(&input, &MappingParams::default());
+    let found = map_of(&input, &[&base, &revisit], &MappingParams::default());
     let left_m = off_m(&found.poses[..base.truth.len()]);
     assert!(left_m < 0.05, "{left_m} m");
 }

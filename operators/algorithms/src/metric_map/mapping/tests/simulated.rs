@@ -1,11 +1,14 @@
 //! A vehicle with four fisheyes that drives two loops in a hall, for tests: truth is known for everything.
 
+use std::borrow::Cow;
+use std::convert::Infallible;
+
 use nalgebra::{Matrix3, Rotation3, UnitQuaternion, Vector3};
 
 use crate::geometry::camera::{Camera, KannalaBrandt, Model};
 use crate::geometry::pose::Pose;
 use crate::geometry::rig::{Rig, RigCamera};
-use crate::metric_map::association::{FeatureRef, Scene};
+use crate::metric_map::association::{Described, FeatureRef, Scene};
 use crate::metric_map::features::{
     DESCRIPTOR_BYTES, Descriptor, Feature, ImageFeatures, KeyframeFeatures,
 };
@@ -291,8 +294,9 @@ impl Simulated {
             .odometry
             .iter()
             .copied()
-            .zip(self.features.iter().cloned());
-        scene.add_session(&self.rig, keyframes);
+            .zip(self.features.iter().cloned())
+            .map(Ok::<_, Infallible>);
+        scene.add_session(&self.rig, keyframes).unwrap();
         let of = |camera: usize, (keyframe, feature): (usize, usize)| FeatureRef {
             image: (first + keyframe * 4 + camera) as u32,
             feature: feature as u32,
@@ -317,5 +321,24 @@ impl Simulated {
             first.compose(pose).compose(&off)
         });
         moved.collect()
+    }
+}
+
+/// What sessions look like, in the order in which they are in a scene; but for one image, which is out of reach.
+pub(crate) struct Album<'a> {
+    pub(crate) sessions: Vec<&'a Simulated>,
+    pub(crate) missing: Option<u32>,
+}
+
+impl Described<String> for Album<'_> {
+    fn descriptors(&self, image: u32) -> Result<Cow<'_, [Descriptor]>, String> {
+        if self.missing == Some(image) {
+            return Err(format!("no descriptors of {image}"));
+        }
+        let keyframes = self.sessions.iter().flat_map(|session| &session.features);
+        let mut images = keyframes.flat_map(|keyframe| &keyframe.images);
+        let image = images.nth(image as usize).unwrap();
+        let looks = image.features.iter().map(|feature| feature.descriptor);
+        Ok(Cow::Owned(looks.collect()))
     }
 }
