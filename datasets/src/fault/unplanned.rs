@@ -18,6 +18,9 @@ pub fn unplanned(message: &str) -> Option<(String, &'static str)> {
             "compute it in a query within: FROM (SELECT *, row_number() OVER (ORDER BY stamp) AS n FROM poses)",
         ));
     }
+    if let Some(known) = subquery(message) {
+        return Some(known);
+    }
     if let Some((_, behind)) = message.split_once("Projections require unique expression names") {
         let name = behind.split('"').nth(1)?;
         let name = match name.rsplit_once(" AS ") {
@@ -37,4 +40,98 @@ pub fn unplanned(message: &str) -> Option<(String, &'static str)> {
         _ => "",
     };
     Some((format!("not supported: {}", node.to_uppercase()), next))
+}
+
+/// A subquery where there is none.
+fn subquery(message: &str) -> Option<(String, &'static str)> {
+    if message.contains("Correlated scalar subquery must be aggregated")
+        || message.contains("A GROUP BY clause in a scalar correlated subquery")
+    {
+        return Some((
+            "expected a subquery of one row for each row of the query around it, found one of any number".to_owned(),
+            "take one of them, as by max(…), or write it as a join",
+        ));
+    }
+    let others = [
+        "Correlated scalar subquery can only be used in",
+        "Correlated scalar subquery in the GROUP BY clause",
+        "In/Exist/SetComparison subquery can only be used in",
+        "logical expression ScalarSubquery(",
+        "logical expression InSubquery(",
+        "logical expression Exists(",
+    ];
+    if others.iter().any(|said| message.contains(said)) {
+        return Some((
+            "expected a subquery in SELECT or WHERE that compares columns of the query around it by =, found another".to_owned(),
+            "compute it in a query within, FROM (SELECT *, (SELECT …) AS x FROM …), or write it as a join",
+        ));
+    }
+    if message.contains("logical expression SetComparison(") {
+        return Some((
+            "expected ANY (SELECT …) or ALL (SELECT …) in WHERE, found it elsewhere".to_owned(),
+            "compare with one value: x > (SELECT max(y) FROM …)",
+        ));
+    }
+    let (_, operator) = message.split_once("Unsupported JOIN operator ")?;
+    let operator = operator.split(|c: char| !c.is_alphanumeric()).next()?;
+    let (name, next) = match operator {
+        "CrossApply" => ("CROSS APPLY", "write CROSS JOIN LATERAL"),
+        "OuterApply" => ("OUTER APPLY", "write LEFT JOIN LATERAL … ON true"),
+        "CrossJoin" => ("CROSS JOIN with a condition", "write JOIN … ON"),
+        "StraightJoin" => ("STRAIGHT_JOIN", "write JOIN"),
+        "ArrayJoin" | "LeftArrayJoin" | "InnerArrayJoin" => {
+            ("ARRAY JOIN", "take a list apart by unnest(…) in SELECT")
+        }
+        _ => return None,
+    };
+    Some((format!("not supported: {name}"), next))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn subqueries_and_joins_that_are_not_planned_are_told_in_words() {
+        for (message, expected, next) in [
+            (
+                "Physical plan does not support logical expression InSubquery(InSubquery { expr: Column(Column { name: \"x\" }), subquery: <subquery>, negated: false })",
+                "expected a subquery in SELECT or WHERE",
+                "in a query within",
+            ),
+            (
+                "Physical plan does not support logical expression ScalarSubquery(<subquery>)",
+                "expected a subquery in SELECT or WHERE",
+                "as a join",
+            ),
+            (
+                "In/Exist/SetComparison subquery can only be used in Projection, Filter, TableScan, Window functions, Aggregate and Join plan nodes, but was used in [Sort: x]",
+                "expected a subquery in SELECT or WHERE",
+                "in a query within",
+            ),
+            (
+                "Physical plan does not support logical expression SetComparison(SetComparison { op: Gt })",
+                "expected ANY (SELECT …) or ALL (SELECT …) in WHERE",
+                "max(y)",
+            ),
+            (
+                "Correlated scalar subquery must be aggregated to return at most one row",
+                "expected a subquery of one row for each row of the query around it",
+                "max(…)",
+            ),
+            (
+                "Unsupported JOIN operator CrossApply",
+                "not supported: CROSS APPLY",
+                "LATERAL",
+            ),
+        ] {
+            let told = unplanned(message);
+            assert!(
+                told.as_ref()
+                    .is_some_and(|(said, hint)| said.starts_with(expected) && hint.contains(next)),
+                "{message}: {told:?}"
+            );
+        }
+        assert_eq!(unplanned("Unsupported JOIN operator Other"), None);
+    }
 }

@@ -2,13 +2,16 @@
 
 mod arguments;
 pub mod as_of;
+mod associated;
 mod bounded;
 pub mod described;
 mod expanded;
 mod floats;
 mod inlined;
+mod joined;
 mod literals;
 mod members;
+mod membership;
 mod misread;
 mod missing;
 mod named;
@@ -45,12 +48,15 @@ use serde::{Deserialize, Serialize};
 use crate::error::{OrFault, external};
 use crate::nodes::light::LightBatches;
 use crate::sql::arguments::check_arguments;
+use crate::sql::associated::associated;
 use crate::sql::bounded::{BYTES_PER_BATCH_ROW, bound_functions};
 use crate::sql::expanded::check_expanded;
 use crate::sql::floats::sound_floats;
 use crate::sql::inlined::check_inlined;
+use crate::sql::joined::joined;
 use crate::sql::literals::check_literals;
 use crate::sql::members::{Members, check_members, mask_members};
+use crate::sql::membership::three_valued;
 use crate::sql::misread::check_misread;
 use crate::sql::named::named_apart;
 use crate::sql::overflow::check_overflow;
@@ -353,6 +359,8 @@ async fn plan_of_one(
         check_expanded(sql).map_err(external)?;
         written = Written::of(sql).map_err(external)?;
         check_misread(sql).map_err(external)?;
+        associated(sql);
+        joined(sql).map_err(external)?;
         as_of::bracketed(sql);
         named_apart(sql);
     }
@@ -362,7 +370,7 @@ async fn plan_of_one(
     check_inlined(&plan)?;
     check_widths(&plan)?;
     check_literals(&plan, &written)?;
-    Ok(plan)
+    three_valued(plan)
 }
 
 /// What a statement says in SQL, of `EXPLAIN` what it explains; `None` for what is none.
@@ -414,34 +422,4 @@ pub fn repeated_columns(plan: &LogicalPlan) -> Vec<String> {
 }
 
 #[cfg(test)]
-mod tests {
-    #![allow(clippy::unwrap_used)]
-    use super::*;
-
-    #[tokio::test]
-    async fn a_query_is_described_with_the_types_of_its_rows() {
-        let context = context(Limits::one_partition()).unwrap();
-        let query =
-            "SELECT x / 1024 AS kib, x + 1 AS next FROM (SELECT CAST(5 AS BIGINT UNSIGNED) AS x)";
-        let rows = read_only(&context, query).await.unwrap();
-        let rows = rows.collect().await.unwrap();
-        let described = read_only(&context, &format!("DESCRIBE {query}")).await;
-        let described = described.unwrap().collect().await.unwrap();
-        for (at, column) in rows[0].schema().fields().iter().enumerate() {
-            let value = |index: usize| {
-                let column = described[0].column(index);
-                arrow::util::display::array_value_to_string(column, at).unwrap()
-            };
-            assert_eq!(value(0), *column.name());
-            assert_eq!(value(1), column.data_type().to_string());
-        }
-    }
-
-    #[test]
-    fn tables_are_named_as_a_plan_names_them() {
-        let query =
-            r#"WITH a AS (SELECT * FROM poses) SELECT * FROM a, "/odom", previous.lanes, poses"#;
-        assert_eq!(tables(query).unwrap(), ["/odom", "poses", "previous.lanes"]);
-        assert!(tables("SELEC").is_err());
-    }
-}
+mod tests;

@@ -1,15 +1,18 @@
-//! What SQL reads as something else than those mean who write it: numbers with `_` between their digits, and powers.
+//! What SQL reads as something else than those mean who write it: numbers with `_` between their digits, and powers; and
+//! what DataFusion does: INTERSECT ALL and EXCEPT ALL give each row as often as the first query does if the other one has it
+//! once.
 
 use std::ops::ControlFlow;
 
 use datafusion::sql::sqlparser::ast::{
-    BinaryOperator, Expr, Select, SelectItem, Spanned, Statement, UnaryOperator, Value, Visit,
-    Visitor,
+    BinaryOperator, Expr, Query, Select, SelectItem, SetExpr, SetOperator, SetQuantifier, Spanned,
+    Statement, UnaryOperator, Value, Visit, Visitor,
 };
 use datafusion::sql::sqlparser::tokenizer::Span;
 use evermap_schemas::Fault;
 
-/// Refuses `1_000`, which is a column `1` that is called `_000`, and `x ^ 2`, which is no power.
+/// Refuses `1_000`, which is a column `1` that is called `_000`, `x ^ 2`, which is no power, and operators on rows that would
+/// have to count them.
 ///
 /// # Errors
 /// A user fault with the place.
@@ -22,6 +25,10 @@ struct Misread;
 
 impl Visitor for Misread {
     type Break = Fault;
+
+    fn pre_visit_query(&mut self, query: &Query) -> ControlFlow<Fault> {
+        counts(&query.body)
+    }
 
     fn pre_visit_select(&mut self, select: &Select) -> ControlFlow<Fault> {
         for item in &select.projection {
@@ -64,6 +71,30 @@ impl Visitor for Misread {
         ));
         ControlFlow::Break(at(fault, expr.span()))
     }
+}
+
+/// Refuses an operator on rows that is not what it says.
+fn counts(body: &SetExpr) -> ControlFlow<Fault> {
+    let SetExpr::SetOperation {
+        left,
+        op,
+        set_quantifier,
+        right,
+    } = body
+    else {
+        return ControlFlow::Continue(());
+    };
+    if *set_quantifier == SetQuantifier::All && *op != SetOperator::Union {
+        let fault = Fault::user(format!(
+            "not supported: {op} ALL, which counts rows that are alike"
+        ));
+        let fault = fault.next(format!(
+            "write {op}, with row_number() OVER (PARTITION BY …) of all columns as one more column of both queries"
+        ));
+        return ControlFlow::Break(at(fault, right.span()));
+    }
+    counts(left)?;
+    counts(right)
 }
 
 /// What stands first in a term: `2` of `2 + 1`, as `^` binds looser than `+`.
@@ -138,6 +169,14 @@ mod tests {
                 "EXPLAIN SELECT sqrt(x ^ 2 + 1) FROM (SELECT 1 AS x) AS t",
                 "write power(x, 2)",
             ),
+            (
+                "SELECT 1 INTERSECT ALL SELECT 1",
+                "user: not supported: INTERSECT ALL, which counts rows that are alike",
+            ),
+            (
+                "SELECT x FROM (SELECT 1 AS x EXCEPT ALL SELECT 2 UNION SELECT 3) AS t",
+                "write EXCEPT, with row_number() OVER (PARTITION BY …)",
+            ),
         ] {
             let fault = read_only(&context, query).await.err().unwrap().to_string();
             assert!(fault.contains(said), "{query}: {fault}");
@@ -147,6 +186,7 @@ mod tests {
             "SELECT 1 AS _000, 2 AS \"_1\"",
             "SELECT x ^ x AS y FROM (SELECT 1 AS x) AS t",
             "SELECT power(2, 10), (5 | 3) - (5 & 3)",
+            "SELECT 1 INTERSECT SELECT 1 EXCEPT DISTINCT SELECT 2 UNION ALL SELECT 1",
         ] {
             read_only(&context, query).await.unwrap();
         }

@@ -3,14 +3,17 @@
 //! casts of what rows are ordered by, `SELECT CAST(stamp AS DATE) … ORDER BY stamp`: DataFusion has the column itself beside
 //! them until rows are in order. Where rows are distinct, they are ordered by columns of the answer alone: a cast among these is
 //! said by its place, as DataFusion finds it by nothing else.
+//!
+//! What is one name to DataFusion may be written in several ways: `sum(X)` and `SUM(x)`, `x + 1` and `(x)::INT + 1`, and `x`
+//! and `t.x` where there is no table but `t`.
 
 use std::collections::HashSet;
 use std::convert::Infallible;
 use std::ops::ControlFlow;
 
 use datafusion::sql::sqlparser::ast::{
-    Distinct, Expr, Ident, OrderByKind, Query, Select, SelectItem, SetExpr, Statement, Value,
-    VisitMut, VisitorMut, visit_expressions,
+    Distinct, Expr, Ident, ObjectNamePart, OrderByKind, Query, Select, SelectItem, SetExpr,
+    Statement, TableFactor, Value, VisitMut, VisitorMut, visit_expressions, visit_expressions_mut,
 };
 
 /// Names the columns of a statement's queries apart. What has a name of its own keeps it.
@@ -36,14 +39,16 @@ impl VisitorMut for Apart {
             }
             let by = order.iter().map(|by| &by.expr);
             let by = ordered_by(by, &select.projection);
-            apart(&mut select.projection, &by);
+            let table = only_table(select);
+            apart(&mut select.projection, &by, table.as_deref());
         }
         ControlFlow::Continue(())
     }
 
     fn pre_visit_select(&mut self, select: &mut Select) -> ControlFlow<Infallible> {
         if select.projection.len() > 1 {
-            apart(&mut select.projection, &[]);
+            let table = only_table(select);
+            apart(&mut select.projection, &[], table.as_deref());
         }
         ControlFlow::Continue(())
     }
@@ -100,8 +105,76 @@ fn is_cast(expr: &Expr) -> bool {
     }
 }
 
+/// What the table of a query is called that has one.
+fn only_table(select: &Select) -> Option<String> {
+    let [table] = select.from.as_slice() else {
+        return None;
+    };
+    match &table.relation {
+        _ if !table.joins.is_empty() => None,
+        TableFactor::Table {
+            alias: Some(alias), ..
+        }
+        | TableFactor::Derived {
+            alias: Some(alias), ..
+        } => Some(known(&alias.name)),
+        TableFactor::Table { name, .. } => name.0.last()?.as_ident().map(known),
+        _ => None,
+    }
+}
+
+/// An expression as DataFusion names it: what is one name there is one text here.
+fn key(expr: &Expr, table: Option<&str>) -> String {
+    let mut expr = expr.clone();
+    let _ = visit_expressions_mut(&mut expr, |part| {
+        while let Expr::Nested(inner) | Expr::Cast { expr: inner, .. } = part {
+            let inner = std::mem::replace(inner.as_mut(), Expr::Value(Value::Null.into()));
+            *part = inner;
+        }
+        let one_name = match part {
+            Expr::Identifier(name) => Some(known(name)),
+            Expr::CompoundIdentifier(names) => {
+                let is_table = |name: &Ident| table == Some(known(name).as_str());
+                if names.len() > 1 && names.first().is_some_and(is_table) {
+                    names.remove(0);
+                }
+                names.iter_mut().for_each(quote);
+                match names.as_slice() {
+                    [name] => Some(name.value.clone()),
+                    _ => None,
+                }
+            }
+            Expr::Function(call) => {
+                call.name.0.iter_mut().for_each(|part| {
+                    if let ObjectNamePart::Identifier(name) = part {
+                        quote(name);
+                    }
+                });
+                None
+            }
+            Expr::Exists { negated, .. } => Some(format!("EXISTS {negated}")),
+            Expr::InSubquery { negated, .. } => Some(format!("IN {negated}")),
+            Expr::Subquery(query) => match query.body.as_ref() {
+                SetExpr::Select(select) => select.projection.first().and_then(name),
+                _ => None,
+            },
+            _ => None,
+        };
+        if let Some(name) = one_name {
+            *part = Expr::Identifier(Ident::with_quote('"', name));
+        }
+        ControlFlow::<()>::Continue(())
+    });
+    expr.to_string()
+}
+
+/// Writes a name as it is looked up.
+fn quote(name: &mut Ident) {
+    *name = Ident::with_quote('"', known(name));
+}
+
 /// Names items apart, and casts of what rows are ordered by.
-fn apart(items: &mut [SelectItem], ordered: &[Vec<String>]) {
+fn apart(items: &mut [SelectItem], ordered: &[Vec<String>], table: Option<&str>) {
     let mut taken: HashSet<String> = items.iter().filter_map(name).collect();
     taken.extend(ordered.iter().filter_map(|column| column.last().cloned()));
     let mut seen = HashSet::new();
@@ -109,7 +182,7 @@ fn apart(items: &mut [SelectItem], ordered: &[Vec<String>]) {
         let SelectItem::UnnamedExpr(expr) = item else {
             continue;
         };
-        if !casts_one(expr, ordered) && seen.insert(path(expr).join(".")) {
+        if !casts_one(expr, ordered) && seen.insert(key(expr, table)) {
             continue;
         }
         let called = last(expr);
@@ -171,7 +244,7 @@ mod tests {
     #[tokio::test]
     async fn columns_of_one_name_are_told_apart() {
         let context = context(Limits::one_partition()).unwrap();
-        let cases: [(&str, &[&str]); 17] = [
+        let cases: [(&str, &[&str]); 26] = [
             ("x, x::INT", &["x", "x_1"]),
             (
                 "x, CAST(X AS DOUBLE), (x), 2 AS x_1",
@@ -179,6 +252,30 @@ mod tests {
             ),
             ("t.x, CAST(t.x AS INT) FROM t ORDER BY x", &["x", "x_1"]),
             ("count(*), count(*)", &["count(*)", "count(*)_1"]),
+            ("count(*), COUNT(*)", &["count(*)", "COUNT(*)_1"]),
+            (
+                "x IN (SELECT 7), x IN (SELECT 8)",
+                &["IN", "x IN (SELECT 8)_1"],
+            ),
+            (
+                "(SELECT 1 AS k), (SELECT 2 AS K)",
+                &["k", "(SELECT 2 AS K)_1"],
+            ),
+            ("max(X), MAX(x) FROM t", &["max(t.x)", "MAX(x)_1"]),
+            ("x, t.x", &["x", "x_1"]),
+            (
+                "x + 1, (t.x)::INT + 1",
+                &["t.x + Int64(1)", "(t.x)::INT + 1_1"],
+            ),
+            (
+                "rank() OVER (ORDER BY x) AS r, a.x + 1 AS s, x FROM t AS a",
+                &["r", "s", "x"],
+            ),
+            ("'a', 'A'", &["Utf8(\"a\")", "Utf8(\"A\")"]),
+            (
+                "a.x + 1, b.x + 1 FROM t AS a, t AS b",
+                &["a.x + Int64(1)", "b.x + Int64(1)"],
+            ),
             ("a.x, b.x FROM t AS a, t AS b", &["x", "x"]),
             (
                 "n.x, n.x_1 FROM (SELECT x, x::INT FROM t) AS n",
