@@ -6,6 +6,7 @@ mod bounded;
 pub mod described;
 mod expanded;
 mod inlined;
+mod lengths;
 mod literals;
 mod members;
 mod misread;
@@ -47,6 +48,7 @@ use crate::sql::arguments::check_arguments;
 use crate::sql::bounded::{BYTES_PER_BATCH_ROW, bound_functions};
 use crate::sql::expanded::check_expanded;
 use crate::sql::inlined::check_inlined;
+use crate::sql::lengths::compare_lengths;
 use crate::sql::literals::check_literals;
 use crate::sql::members::{Members, check_members, mask_members};
 use crate::sql::misread::check_misread;
@@ -219,6 +221,7 @@ fn context_of(
     bound_functions(&context, limits.memory_bytes).or_fault()?;
     mask_members(&context).or_fault()?;
     check_overflow(&context).or_fault()?;
+    compare_lengths(&context);
     check_arguments(&context).or_fault()?;
     Ok(context)
 }

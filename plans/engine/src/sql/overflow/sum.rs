@@ -14,7 +14,8 @@ use datafusion::logical_expr::{
     SetMonotonicity, Signature,
 };
 
-use crate::sql::overflow::intervals::{self, IntervalSum};
+use crate::sql::lengths::WHOLE;
+use crate::sql::overflow::intervals::IntervalSum;
 use crate::sql::overflow::totals::{Adds, DistinctSum, Groups, Sum, WIDE, Whole};
 
 /// DataFusion's `sum` or `avg`, but for what would wrap in 64 bits. `sum` does not become `sum(x) + 1 * count(x)` where
@@ -118,7 +119,7 @@ impl AggregateUDFImpl for CheckedSum {
 
     fn return_type(&self, types: &[DataType]) -> Result<DataType> {
         Ok(match self.inner.return_type(types)? {
-            DataType::Interval(_) => intervals::WHOLE,
+            DataType::Interval(_) => WHOLE,
             result => result,
         })
     }
