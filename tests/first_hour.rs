@@ -166,6 +166,17 @@ fn a_plan_that_reads_nothing_of_a_session_says_so_and_what_any_log_has_is_read()
     let said = "the plan cannot use any session: expected a step that reads a role or a topic of sessions, found none";
     assert!(refused.contains(said), "{refused}");
     said_of("topics", "SELECT session, topic FROM channels").expect(0);
+    // What each refusal says next does not lead to the other one.
+    let alone = |map: &str| {
+        let (plan, map) = (at("one.yaml"), at(map));
+        evermap(&["run", text(&plan), "--map", text(&map)])
+    };
+    let next = "without --sessions the plan runs on a map that has sessions";
+    assert!(refused.contains(next), "{refused}");
+    alone("topics").expect(0);
+    let refused = alone("new").expect(1).stderr;
+    let next = "of which a step of the plan reads a role or a topic";
+    assert!(refused.contains(next), "{refused}");
     // It has none, which is said and no refusal.
     let empty = said_of("classes", "SELECT * FROM label_classes").expect(3);
     assert!(

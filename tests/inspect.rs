@@ -954,6 +954,21 @@ fn of_robots_whose_frames_are_called_alike_one_is_read_and_halves_of_two_are_ref
                 say which one is the vehicle in a session manifest: `roles: { odometry: /robot2/odom }`";
     let told = run("first", &[]).expect(0).stderr;
     assert!(told.contains(note), "{told}");
+    let inspect = |options: &[&str]| {
+        let inspect = ["inspect", "drive.mcap"];
+        run_in(folder.path(), &[&inspect[..], options].concat())
+    };
+    let line = note.replacen("note: ", "\nnote         ", 1);
+    for inspected in [inspect(&[]), inspect(&["--quick"])] {
+        assert!(inspected.stdout.contains(&line), "{}", inspected.stdout);
+    }
+    let written = inspect(&["--manifest"]);
+    assert!(written.stderr.contains(note), "{}", written.stderr);
+    assert!(
+        written.stdout.contains("/robot1/odom"),
+        "{}",
+        written.stdout
+    );
     let named = run("second", &["--manifest", "robot2.yaml"])
         .expect(0)
         .stderr;

@@ -13,6 +13,7 @@
 
 pub mod address;
 mod dataset;
+mod escapes;
 pub mod fault;
 mod images;
 pub mod import;

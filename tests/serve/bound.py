@@ -36,6 +36,14 @@ SAME = [
     ("SELECT %b", [ID], str(ID)),
     ("SELECT %s", [[ID, None]], [str(ID), None]),
     ("SELECT %b", [[ID, None]], [str(ID), None]),
+    ("SELECT %s::uuid", [ID], str(ID)),
+    ("SELECT %s::uuid", [ID.hex.upper()], str(ID)),
+    ("SELECT %s::uuid[]", [[ID, None]], [str(ID), None]),
+    ("SELECT %s::uuid[]", [[ID.hex, None]], [str(ID), None]),
+    (f"SELECT CAST('{ID.hex}' AS uuid) = %s", [ID], True),
+    ("SELECT %s::jsonb", ['{"a": 1}'], '{"a": 1}'),
+    ("SELECT %s::json", ["[1]"], "[1]"),
+    ("SELECT %s::name", ["lanes"], "lanes"),
     (f"SELECT '{ID}' = %s", [ID], True),
     (f"SELECT '{ID}' = ANY(%s)", [[ID]], True),
     ("SELECT count(*) FROM (SELECT 1 FROM lanes LIMIT %s OFFSET %s) AS few", [1, 0], 1),
@@ -101,6 +109,7 @@ def main(postgres):
         for query, expected in LISTS:
             found = ask(query, prepare=prepare)
             assert found == [(expected,)], (query, found)
+        refused(lambda: ask("SELECT '7'::uuid", prepare=prepare), "expected a value of the type uuid, found `7`")
         refused(lambda: ask("SELECT 1 = ANY('{{1},{2}}')", prepare=prepare), "expected a list such as {1,2}, found `{{1},{2}}`")
     lanes = ask("SELECT site, lane FROM lanes ORDER BY site, lane")
     assert lanes and {site for site, _ in lanes} != {None}

@@ -3,6 +3,7 @@
 use evermap_schemas::Fault;
 use mcap::records::op;
 
+use crate::escapes::escaped;
 use crate::log::index::Unit;
 use crate::log::metadata;
 use crate::log::record::{FRAME, frame, nanoseconds};
@@ -37,18 +38,46 @@ impl AttachmentHead {
         let (opcode, length) = frame(record)?;
         let head = record.get(FRAME as usize..);
         let head = head.filter(|_| opcode == op::ATTACHMENT)?;
-        let time = |at: usize| Some(u64::from_le_bytes(*head.get(at..)?.first_chunk()?));
-        let mut rest = head.get(16..)?;
-        let found = Self {
-            name: text(&mut rest)?,
-            media_type: text(&mut rest)?,
-            bytes: u64::from_le_bytes(*rest.first_chunk()?),
-            log_time: nanoseconds(time(0)?),
-            create_time: nanoseconds(time(8)?),
-        };
-        // Their number stands before the bytes, their checksum behind.
-        let others = (head.len() - rest.len()) as u64 + 8 + 4;
+        let (found, behind) = Self::split(head)?;
+        // The checksum stands behind the bytes.
+        let others = (head.len() - behind.len()) as u64 + 4;
         (found.bytes.saturating_add(others) <= length).then_some(found)
+    }
+
+    /// From the body of a whole record, with the attachment's bytes.
+    ///
+    /// # Errors
+    /// In words, where it is malformed or does not match its checksum.
+    pub(crate) fn whole(body: &[u8]) -> Result<(Self, &[u8]), String> {
+        let cut = || format!("expected a longer record, found {} B", body.len());
+        let (head, behind) = Self::split(body).ok_or_else(cut)?;
+        let bytes = usize::try_from(head.bytes).ok();
+        let bytes = bytes.and_then(|bytes| behind.split_at_checked(bytes));
+        let (bytes, behind) = bytes.ok_or_else(cut)?;
+        let expected = u32::from_le_bytes(*behind.first_chunk().ok_or_else(cut)?);
+        let found = crc32fast::hash(&body[..body.len() - behind.len()]);
+        match expected == 0 || expected == found {
+            true => Ok((head, bytes)),
+            false => Err(format!(
+                "expected the checksum {expected:08x}, found {found:08x}"
+            )),
+        }
+    }
+
+    /// What stands before an attachment's bytes, and what there is from these on.
+    fn split(body: &[u8]) -> Option<(Self, &[u8])> {
+        let (log_time, rest) = body.split_first_chunk::<8>()?;
+        let (create_time, mut rest) = rest.split_first_chunk::<8>()?;
+        let (name, media_type) = (text(&mut rest)?, text(&mut rest)?);
+        let (bytes, behind) = rest.split_first_chunk::<8>()?;
+        let head = Self {
+            name,
+            media_type,
+            bytes: u64::from_le_bytes(*bytes),
+            log_time: nanoseconds(u64::from_le_bytes(*log_time)),
+            create_time: nanoseconds(u64::from_le_bytes(*create_time)),
+        };
+        Some((head, behind))
     }
 }
 
@@ -126,12 +155,13 @@ fn lose(part: &LogPart, unit: &Unit, detail: String) {
         .note(Reason::BadAttachment, unit.offset, loss, detail);
 }
 
-/// A text behind its length.
+/// A text behind its length; what is not UTF-8 has escapes.
 fn text(rest: &mut &[u8]) -> Option<String> {
     let (length, behind) = rest.split_first_chunk::<4>()?;
     let (text, behind) = behind.split_at_checked(u32::from_le_bytes(*length) as usize)?;
     *rest = behind;
-    Some(String::from_utf8_lossy(text).into_owned())
+    let plain = std::str::from_utf8(text).map(str::to_owned);
+    Some(plain.unwrap_or_else(|_| escaped(text)))
 }
 
 /// The letters of a name that are kept.

@@ -13,7 +13,7 @@ use mcap::records::{Record, op};
 use crate::log::heads::{AttachmentHead, HEAD};
 use crate::log::index::{LogIndex, Unit, UnitKind};
 use crate::log::metadata;
-use crate::log::record::{nanoseconds, parse, split};
+use crate::log::record::{parse, split};
 use crate::scan::rows::{MessageAt, RowBuilder, projected};
 use crate::scan::table::{LogTable, schema_of};
 use crate::session::LogPart;
@@ -52,10 +52,11 @@ record! {
 
 /// What is kept of a record.
 enum Held {
-    /// All of it, and where it lies in the file.
-    Whole(u64, Record<'static>),
-    /// What stands before an attachment's bytes, which are not read; nor is its checksum compared.
-    Head(AttachmentHead),
+    /// What metadata says, and where it lies in the file.
+    Metadata(u64, mcap::records::Metadata),
+    /// What stands before an attachment's bytes, and these. Where they are not asked for there are none, nor is the
+    /// checksum compared.
+    Attachment(AttachmentHead, Vec<u8>),
 }
 
 /// The columns of a table, from some records of a file.
@@ -167,19 +168,8 @@ impl LogTable for RecordTable {
 }
 
 fn attachment(part: &LogPart, held: Held) -> Option<Attachment> {
-    let (head, data) = match held {
-        Held::Head(head) => (head, Vec::new()),
-        Held::Whole(_, Record::Attachment { header, data, .. }) => {
-            let head = AttachmentHead {
-                name: header.name,
-                media_type: header.media_type,
-                bytes: data.len() as u64,
-                log_time: nanoseconds(header.log_time),
-                create_time: nanoseconds(header.create_time),
-            };
-            (head, data.into_owned())
-        }
-        Held::Whole(..) => return None,
+    let Held::Attachment(head, data) = held else {
+        return None;
     };
     Some(Attachment {
         session: part.session.to_string(),
@@ -194,9 +184,27 @@ fn attachment(part: &LogPart, held: Held) -> Option<Attachment> {
 
 fn metadata(records: Vec<Held>) -> impl Iterator<Item = (u64, mcap::records::Metadata)> {
     records.into_iter().filter_map(|record| match record {
-        Held::Whole(offset, Record::Metadata(found)) => Some((offset, found)),
-        _ => None,
+        Held::Metadata(offset, found) => Some((offset, found)),
+        Held::Attachment(..) => None,
     })
+}
+
+/// What is kept of a record, all of whose body is there.
+fn held(unit: &Unit, opcode: u8, body: &[u8]) -> Result<Held, String> {
+    match (unit.kind, opcode) {
+        (UnitKind::Attachment, op::ATTACHMENT) => {
+            let (head, data) = AttachmentHead::whole(body)?;
+            return Ok(Held::Attachment(head, data.to_vec()));
+        }
+        (UnitKind::Metadata, op::METADATA) => {
+            metadata::check(body)?;
+            if let Record::Metadata(found) = parse(opcode, body)? {
+                return Ok(Held::Metadata(unit.offset, found));
+            }
+        }
+        _ => {}
+    }
+    Err("expected a record of the kind that the index says".to_owned())
 }
 
 /// Builds rows from records that are no messages.
@@ -219,7 +227,7 @@ impl RecordRows {
             )
         })?;
         self.bytes += size_of::<Attachment>() + head.name.len() + head.media_type.len();
-        self.records.push(Held::Head(head));
+        self.records.push(Held::Attachment(head, Vec::new()));
         Ok(())
     }
 }
@@ -248,16 +256,7 @@ impl RowBuilder for RecordRows {
         if self.bytes + body.len() > i32::MAX as usize {
             return Err("records larger than 2 GiB".to_owned());
         }
-        if opcode == op::METADATA {
-            metadata::check(body)?;
-        }
-        let record = parse(opcode, body)?.into_owned();
-        match (unit.kind, &record) {
-            (UnitKind::Attachment, Record::Attachment { .. })
-            | (UnitKind::Metadata, Record::Metadata(_)) => {}
-            _ => return Err("expected a record of the kind that the index says".to_owned()),
-        }
-        self.records.push(Held::Whole(unit.offset, record));
+        self.records.push(held(unit, opcode, body)?);
         self.bytes += body.len();
         Ok(())
     }

@@ -11,6 +11,7 @@ use object_store::path::Path;
 use object_store::{ObjectMeta, ObjectStore, ObjectStoreExt};
 
 use super::{LogFile, WHAT_TO_GIVE, is_mcap, logs_among, special};
+use crate::escapes::escaped;
 use crate::fault::store_fault;
 
 /// The files that a path or a pattern names, or a folder has.
@@ -61,11 +62,7 @@ fn location(path: &FilePath) -> Result<Path, Fault> {
 fn shown(path: &FilePath) -> String {
     match path.to_str() {
         Some(text) if !text.contains(char::is_control) => text.to_owned(),
-        _ => {
-            let quoted = format!("{path:?}");
-            let inner = quoted.strip_prefix('"').and_then(|q| q.strip_suffix('"'));
-            inner.unwrap_or(&quoted).to_owned()
-        }
+        _ => escaped(path.as_os_str().as_encoded_bytes()),
     }
 }
 

@@ -201,6 +201,40 @@ async fn attachments_are_listed_in_less_memory_than_they_hold() {
     assert!(dataset.losses.is_empty(), "{:?}", dataset.losses.entries());
 }
 
+/// Its bytes are good whatever it is called; who lists attachments calls it as who reads it.
+#[tokio::test]
+async fn attachments_whose_names_are_not_utf_8_have_escapes_in_them() {
+    let attachment = |name: &[u8], crc: u32| {
+        let body = [
+            &[0_u8; 16][..],
+            &text(name),
+            &text(b"a/b\xff"),
+            &3_u64.to_le_bytes(),
+            b"map",
+            &crc.to_le_bytes(),
+        ]
+        .concat();
+        record(9, &body)
+    };
+    let records = [attachment(b"caf\xe9.map", 0), attachment(b"torn", 7)];
+    let log = file(&records, &[]);
+    let (context, dataset) = opened(&log).await;
+    let listed = dataset.parts()[0].attachments().await.unwrap();
+    let [found] = listed.as_slice() else {
+        panic!("{listed:?}");
+    };
+    let named = ("caf\\xE9.map", "a/b\\xFF");
+    assert_eq!((found.name.as_str(), found.media_type.as_str()), named);
+    let named = "name = 'caf\\xE9.map' AND media_type = 'a/b\\xFF'";
+    for asked in ["size = 3", "data = CAST('map' AS bytea)"] {
+        let found = format!("SELECT name FROM attachments WHERE {named} AND {asked}");
+        assert_eq!(count(&context, &found).await, 1, "{asked}");
+    }
+    assert_eq!(count(&context, "SELECT data FROM attachments").await, 1);
+    let losses = dataset.losses.losses();
+    assert_eq!(losses.keys().collect::<Vec<_>>(), [&Reason::BadAttachment]);
+}
+
 /// Who lists metadata says of what is damaged the same as who reads it.
 #[tokio::test]
 async fn damaged_metadata_is_counted_by_who_lists_it_and_by_who_reads_it() {

@@ -43,7 +43,7 @@ pub struct Contents {
     pub roles: Vec<RoleLine>,
     /// Coordinate frames; null where only the index was read.
     pub frames: Option<CoordinateFrames>,
-    /// What is to be known of how it is read, in sentences; none where only the index was read.
+    /// What is to be known of how it is read, in sentences; where only the index was read, of topics that were chosen.
     pub notes: Vec<String>,
     /// The plans that ship, and what each lacks to make something of this file.
     pub plans: Vec<PlanLine>,

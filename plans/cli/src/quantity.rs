@@ -7,11 +7,13 @@ use bytesize::ByteSize;
 /// # Errors
 /// A sentence that says what is expected.
 pub fn bytes(text: &str) -> Result<usize, String> {
+    // A number alone that 64 bits do not have is read with its unit alone.
     let ByteSize(amount) = text
-        .parse()
+        .parse::<ByteSize>()
+        .or_else(|_| format!("{text}B").parse())
         .map_err(|_| format!("expected an amount such as 1GiB, found {text}"))?;
     if !(bytesize::MIB..=bytesize::PIB).contains(&amount) {
-        return Err(format!("expected 1 MiB or more, found {text}"));
+        return Err(format!("expected 1 MiB to 1 PiB, found {text}"));
     }
     Ok(amount as usize)
 }
@@ -77,6 +79,12 @@ mod tests {
         ] {
             assert!(bytes(wrong).is_err(), "{wrong}");
         }
+        // More than 64 bits have, too.
+        for far in ["12B", "2PiB", "16EiB", "1000000EB", "99999999999999999999"] {
+            let said = format!("expected 1 MiB to 1 PiB, found {far}");
+            assert_eq!(bytes(far), Err(said));
+        }
+        assert_eq!(bytes("1PiB"), Ok(1 << 50));
     }
 
     #[test]

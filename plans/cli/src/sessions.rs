@@ -97,15 +97,18 @@ pub async fn open(
         found = found.of_vehicle(vehicle);
     }
     let dataset = found.open().await.map_err(placed)?;
-    dataset
-        .notes
-        .iter()
-        .for_each(|note| line(&format!("note: {note}")));
+    told(&dataset);
     let unknown = topics(&dataset);
     unknown
         .iter()
         .for_each(|unknown| line(&format!("warning: {unknown}")));
     Ok(dataset)
+}
+
+/// Tells which topics were chosen though others would do.
+pub fn told(dataset: &Dataset) {
+    let notes = dataset.notes.iter();
+    notes.for_each(|note| line(&format!("note: {note}")));
 }
 
 /// What reading logs has lost so far.

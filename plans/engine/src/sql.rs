@@ -9,6 +9,7 @@ mod expanded;
 mod floats;
 mod inlined;
 mod joined;
+mod lengths;
 mod literals;
 mod members;
 mod membership;
@@ -54,6 +55,7 @@ use crate::sql::expanded::check_expanded;
 use crate::sql::floats::sound_floats;
 use crate::sql::inlined::check_inlined;
 use crate::sql::joined::joined;
+use crate::sql::lengths::compare_lengths;
 use crate::sql::literals::check_literals;
 use crate::sql::members::{Members, check_members, mask_members};
 use crate::sql::membership::three_valued;
@@ -228,6 +230,7 @@ fn context_of(
     mask_members(&context).or_fault()?;
     sound_floats(&context).or_fault()?;
     check_overflow(&context).or_fault()?;
+    compare_lengths(&context);
     check_arguments(&context).or_fault()?;
     Ok(context)
 }

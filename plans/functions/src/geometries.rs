@@ -1,6 +1,7 @@
 //! Functions on geometries: well-known binary, in a map's metres. Names and meanings are PostGIS's, so `st_*` look from
 //! above; where heights count, it is said.
 
+mod distance;
 mod lines;
 pub(crate) mod made;
 pub(crate) mod parts;

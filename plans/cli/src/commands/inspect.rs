@@ -25,7 +25,7 @@ use crate::ending::Ending;
 use crate::manifest::written;
 use crate::printable::printable;
 use crate::quantity::of;
-use crate::sessions::lost;
+use crate::sessions::{lost, told};
 use crate::shipped;
 use crate::{camera_frames, odometry_frame, operators, pictures};
 
@@ -41,6 +41,7 @@ pub async fn inspect(args: &InspectArgs) -> Ending {
     if args.manifest {
         let frames = frames(&dataset, &context).await?;
         let manifest = written(&dataset, &frames, &context).await?;
+        told(&dataset);
         writeln!(std::io::stdout(), "{manifest}")?;
         return Ok(lost([&dataset]));
     }
@@ -75,8 +76,9 @@ pub async fn inspect(args: &InspectArgs) -> Ending {
         false => pictures::notes(&dataset).await?,
     };
     let unchecked = (!args.quick).then(|| unchecked(&read)).flatten();
-    let notes = unchecked.into_iter().chain(notes).chain(of_pictures);
-    let notes = notes.collect();
+    let of_topics = dataset.notes.iter().cloned();
+    let notes = unchecked.into_iter().chain(of_topics).chain(notes);
+    let notes = notes.chain(of_pictures).collect();
     let unmounted = frames
         .as_ref()
         .is_some_and(CoordinateFrames::no_camera_is_mounted);

@@ -1,7 +1,11 @@
 //! Rows for programs that read columns: Parquet, whose columns are encoded side by side, and Arrow's own file.
 
-use arrow::array::{ArrayRef, RecordBatch};
-use arrow::datatypes::{FieldRef, SchemaRef};
+use std::sync::Arc;
+
+use arrow::array::{ArrayRef, RecordBatch, RecordBatchOptions};
+use arrow::compute::cast;
+use arrow::datatypes::{DataType, FieldRef, Fields, Schema, SchemaRef};
+use arrow::error::ArrowError;
 use arrow::ipc::writer::FileWriter;
 use evermap_schemas::Fault;
 use evermap_schemas::geoparquet::{self, GeoColumn};
@@ -151,13 +155,70 @@ fn failure(error: ParquetError) -> Failure {
     }
 }
 
-impl RowWriter for FileWriter<&mut Sink> {
+/// Writes Arrow's own file. Values stand in the place of dictionaries: a file may have one of each column, and queries make
+/// one of each batch.
+pub struct Arrow<'s> {
+    file: FileWriter<&'s mut Sink>,
+    has_dictionaries: bool,
+}
+
+impl<'s> Arrow<'s> {
+    /// To a sink.
+    ///
+    /// # Errors
+    /// Columns that Arrow's file has no type for, or what the sink says.
+    pub fn open(schema: &SchemaRef, sink: &'s mut Sink) -> Result<Self, Failure> {
+        let fields: Fields = schema.fields().iter().map(of_values).collect();
+        let has_dictionaries = &fields != schema.fields();
+        let schema = Schema::new_with_metadata(fields, schema.metadata().clone());
+        Ok(Self {
+            file: FileWriter::try_new(sink, &schema)?,
+            has_dictionaries,
+        })
+    }
+}
+
+/// A column with values where it has dictionaries.
+fn of_values(field: &FieldRef) -> FieldRef {
+    let values = values(field.data_type());
+    Arc::new(field.as_ref().clone().with_data_type(values))
+}
+
+/// A type with those of their values in the place of dictionaries.
+fn values(found: &DataType) -> DataType {
+    match found {
+        DataType::Dictionary(_, value) => values(value),
+        DataType::Struct(members) => DataType::Struct(members.iter().map(of_values).collect()),
+        DataType::List(item) => DataType::List(of_values(item)),
+        DataType::LargeList(item) => DataType::LargeList(of_values(item)),
+        DataType::FixedSizeList(item, size) => DataType::FixedSizeList(of_values(item), *size),
+        DataType::Map(entries, sorted) => DataType::Map(of_values(entries), *sorted),
+        other => other.clone(),
+    }
+}
+
+/// A batch with columns of other types.
+///
+/// # Errors
+/// Columns that do not become what they should.
+pub fn with_columns(schema: &SchemaRef, batch: &RecordBatch) -> Result<RecordBatch, ArrowError> {
+    let columns = batch.columns().iter().zip(schema.fields());
+    let columns = columns.map(|(column, field)| cast(column, field.data_type()));
+    let columns = columns.collect::<Result<_, ArrowError>>()?;
+    let rows = RecordBatchOptions::new().with_row_count(Some(batch.num_rows()));
+    RecordBatch::try_new_with_options(Arc::clone(schema), columns, &rows)
+}
+
+impl RowWriter for Arrow<'_> {
     fn write(&mut self, batch: &RecordBatch) -> Result<(), Failure> {
+        let schema = Arc::clone(self.file.schema());
         // It would write the bytes of one type under the name of another.
-        let said = self.schema().fields().iter();
+        let said = schema.fields().iter();
         let mut columns = said.zip(batch.schema_ref().fields());
-        let other =
-            columns.find(|(said, found)| !said.data_type().equals_datatype(found.data_type()));
+        let other = columns.find(|(said, found)| {
+            let found = values(found.data_type());
+            !said.data_type().equals_datatype(&found)
+        });
         match other {
             Some((said, found)) => Err(Fault::bug(format!(
                 "cannot write Arrow: expected {} of type {}, found {}",
@@ -166,11 +227,12 @@ impl RowWriter for FileWriter<&mut Sink> {
                 found.data_type()
             ))
             .into()),
-            None => Ok(FileWriter::write(self, batch)?),
+            None if self.has_dictionaries => Ok(self.file.write(&with_columns(&schema, batch)?)?),
+            None => Ok(self.file.write(batch)?),
         }
     }
 
     fn finish(mut self: Box<Self>) -> Result<(), Failure> {
-        Ok(FileWriter::finish(&mut self)?)
+        Ok(self.file.finish()?)
     }
 }

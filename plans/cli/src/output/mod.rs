@@ -14,7 +14,7 @@ use clap::ValueEnum;
 use evermap_schemas::{Fault, LayerRow, batch};
 use futures::{Stream, StreamExt};
 
-pub use columnar::{CRS, GEOMETRY};
+pub use columnar::{CRS, GEOMETRY, with_columns};
 pub use place::outside_of_maps;
 pub use sink::{Sink, write_file};
 pub use writers::RowWriter;

@@ -2,8 +2,9 @@
 use std::sync::Arc;
 
 use super::*;
-use arrow::array::{ArrayRef, AsArray, StringArray};
+use arrow::array::{Array, ArrayRef, AsArray, DictionaryArray, StringArray, StructArray};
 use arrow::compute::concat_batches;
+use arrow::datatypes::{Field, Int32Type};
 use arrow::ipc::reader::FileReader;
 use evermap_schemas::{Bytes, Kind, Pose, Stamp, record};
 use parquet::arrow::arrow_reader::ParquetRecordBatchReaderBuilder;
@@ -174,6 +175,36 @@ async fn arrow_reads_back_the_same_also_without_rows() {
     );
     let empty = read(written(Format::Arrow, vec![]).await);
     assert_eq!((empty.schema(), empty.count()), (rows().schema(), 0));
+}
+
+#[tokio::test]
+async fn dictionaries_that_change_are_written_in_every_format_and_as_values_to_arrow() {
+    let words = |words: &[&str]| -> ArrayRef {
+        let words: DictionaryArray<Int32Type> = words.iter().copied().collect();
+        Arc::new(words)
+    };
+    let batch = |of: &[&str]| {
+        let member = Field::new("of", words(of).data_type().clone(), true);
+        let member: ArrayRef = Arc::new(StructArray::from(vec![(Arc::new(member), words(of))]));
+        RecordBatch::try_from_iter([("word", words(of)), ("member", member)]).unwrap()
+    };
+    let batches = [batch(&["a", "b", "a"]), batch(&["c"])];
+    for format in FORMATS {
+        let mut sink = Sink::spooled(usize::MAX);
+        let rows = futures::stream::iter(batches.clone().map(Ok));
+        let count = write(format, batches[0].schema(), rows, &mut sink).await;
+        assert_eq!(count.unwrap(), 4, "{format:?}");
+        let bytes = std::io::Cursor::new(sink.bytes());
+        if format == Format::Arrow {
+            let file = FileReader::try_new(bytes, None).unwrap();
+            let found: Vec<RecordBatch> = file.map(Result::unwrap).collect();
+            let found = concat_batches(&found[0].schema(), &found).unwrap();
+            let expected = StringArray::from(vec!["a", "b", "a", "c"]);
+            assert_eq!(found.column(0).as_string::<i32>(), &expected);
+            let members = found.column(1).as_struct();
+            assert_eq!(members.column(0).as_string::<i32>(), &expected);
+        }
+    }
 }
 
 #[tokio::test]

@@ -5,12 +5,11 @@ use std::io::{Error as IoError, Result as Written, Write};
 use arrow::array::RecordBatch;
 use arrow::csv::WriterBuilder as CsvBuilder;
 use arrow::datatypes::SchemaRef;
-use arrow::ipc::writer::FileWriter;
 use arrow::json::writer::{JsonArray, Writer as JsonWriter, WriterBuilder as JsonBuilder};
 use arrow::util::pretty::pretty_format_batches;
 
 use crate::ending::Failure;
-use crate::output::columnar::Parquet;
+use crate::output::columnar::{Arrow, Parquet};
 use crate::output::readable::{self, Cells, flat};
 use crate::output::{Format, Sink};
 use crate::printable::printable;
@@ -63,7 +62,7 @@ pub fn open(
                 .build::<_, JsonArray>(sink),
         ),
         Format::Parquet => Box::new(Parquet::open(&schema, sink)?),
-        Format::Arrow => Box::new(FileWriter::try_new(sink, &schema)?),
+        Format::Arrow => Box::new(Arrow::open(&schema, sink)?),
     })
 }
 

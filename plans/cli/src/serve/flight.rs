@@ -7,11 +7,9 @@
 use std::pin::Pin;
 use std::sync::{Arc, LazyLock};
 
-use arrow::compute::cast;
 use arrow::datatypes::{Schema, SchemaRef};
-use arrow::error::ArrowError;
 use arrow::ipc::writer::IpcWriteOptions;
-use arrow::record_batch::{RecordBatch, RecordBatchOptions};
+use arrow::record_batch::RecordBatch;
 use arrow_flight::encode::FlightDataEncoderBuilder;
 use arrow_flight::error::FlightError;
 use arrow_flight::flight_service_server::{FlightService, FlightServiceServer};
@@ -37,6 +35,7 @@ use prost::Message;
 use serde::{Deserialize, Serialize};
 use tonic::{Request, Response, Status, Streaming};
 
+use crate::output::with_columns;
 use crate::serve::answer::{Bounds, answer};
 use crate::serve::maps::{Maps, Opened, ServedMap};
 
@@ -115,9 +114,10 @@ impl Flight {
         let answer = answer.map_err(status)?;
         let schema = sent(answer.schema);
         let columns = Arc::clone(&schema);
+        // The encoder takes large lists for plain ones, and does not make them so.
         let rows = answer
             .rows
-            .map(move |batch| with_columns(&columns, &batch?));
+            .map(move |batch| Ok::<_, Fault>(with_columns(&columns, &batch?)?));
         let rows = rows.map_err(|fault| FlightError::Tonic(Box::new(status(fault))));
         let encoded = FlightDataEncoderBuilder::new()
             .with_schema(schema)
@@ -142,16 +142,6 @@ fn sent(schema: SchemaRef) -> SchemaRef {
     let encoder = FlightDataEncoderBuilder::new().with_schema(Arc::clone(&schema));
     let encoder = encoder.build(futures::stream::empty());
     encoder.known_schema().unwrap_or(schema)
-}
-
-/// A batch with these columns: the encoder takes large lists for plain ones, and does not make them so.
-fn with_columns(schema: &SchemaRef, batch: &RecordBatch) -> Result<RecordBatch, Fault> {
-    let columns = batch.columns().iter().zip(schema.fields());
-    let columns = columns.map(|(column, field)| cast(column, field.data_type()));
-    let columns = columns.collect::<Result<_, ArrowError>>()?;
-    let rows = RecordBatchOptions::new().with_row_count(Some(batch.num_rows()));
-    let batch = RecordBatch::try_new_with_options(Arc::clone(schema), columns, &rows);
-    Ok(batch?)
 }
 
 /// Where rows of a planned query are: here, by its ticket.

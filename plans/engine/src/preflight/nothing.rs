@@ -29,8 +29,9 @@ pub(super) fn to_make(needs: &Needs, session: &Session, lacks: &Lacks, others: u
 /// That no step reads what sessions have.
 fn reads_nothing() -> Fault {
     let fault = "the plan cannot use any session: expected a step that reads a role or a topic of sessions, found none";
-    Fault::user(fault)
-        .next("let a step read one, as `evermap inspect` lists them, or leave the sessions out")
+    Fault::user(fault).next(
+        "let a step read one, as `evermap inspect` lists them; without --sessions the plan runs on a map that has sessions",
+    )
 }
 
 /// What is lacking; where nothing is that a step cannot do without, any of what is read.

@@ -24,7 +24,9 @@ impl Run<'_> {
         observe: &mut (dyn FnMut(Event<'_>) + Send),
     ) -> Result<RunEnd, Fault> {
         if self.sessions.is_empty() {
-            return Err(Fault::user("no sessions to map").next("give some with --sessions FILES"));
+            let fault = "expected sessions, given or in the map, found none";
+            return Err(Fault::user(fault)
+                .next("give some with --sessions FILES, of which a step of the plan reads a role or a topic"));
         }
         let lease = Lease::of_run(self.store).await?;
         let ended = self.rounds(&lease, runner, observe).await;

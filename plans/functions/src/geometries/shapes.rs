@@ -9,11 +9,12 @@ use datafusion::common::{DataFusionError, Result};
 use evermap_schemas::{Geometry, Position};
 use geo::relate::IntersectionMatrix;
 use geo::{
-    Contains, Coord, CoordsIter, Distance, Euclidean, Length, LineString, Point, Polygon, Relate,
+    Contains, Coord, CoordsIter, Euclidean, Length, Line, LineString, Point, Polygon, Relate,
 };
 
 use crate::function::{numbers, rows};
 use crate::geometries::Geometries;
+use crate::geometries::distance::distance_m;
 use crate::geometries::tangle::check_tangle;
 use crate::guard::guarded;
 
@@ -44,6 +45,27 @@ fn shape(geometry: &Geometry) -> Shape {
         | Geometry::GeometryCollection(parts) => {
             Shape::GeometryCollection(parts.iter().map(shape).collect())
         }
+    }
+}
+
+/// The edges of a geometry, and each point that stands alone as one without a length.
+pub(super) fn edges(shape: &Shape) -> Vec<Line> {
+    match shape {
+        Shape::Point(point) => vec![Line::new(point.0, point.0)],
+        Shape::LineString(line) => edges_along(line),
+        Shape::Polygon(area) => {
+            let rings = std::iter::once(area.exterior()).chain(area.interiors());
+            rings.flat_map(edges_along).collect()
+        }
+        Shape::GeometryCollection(parts) => parts.iter().flat_map(edges).collect(),
+        _ => Vec::new(),
+    }
+}
+
+fn edges_along(line: &LineString) -> Vec<Line> {
+    match line.0.as_slice() {
+        [alone] => vec![Line::new(*alone, *alone)],
+        _ => line.lines().collect(),
     }
 }
 
@@ -100,7 +122,7 @@ pub(super) fn distances(columns: &[ArrayRef]) -> Result<ArrayRef> {
     numbers(rows(columns), |row| {
         let pair = pair(columns, row)?;
         let whole = pair.filter(|pair| pair.iter().all(|shape| shape.coords_count() > 0));
-        let distance = whole.map(|[a, b]| guarded(|| Euclidean.distance(&a, &b)));
+        let distance = whole.map(|[a, b]| guarded(|| distance_m(&a, &b)));
         distance.transpose()
     })
 }

@@ -2,9 +2,9 @@
 //! and of two combs of ten thousand teeth that is a hundred million times.
 
 use datafusion::common::{DataFusionError, Result};
-use geo::{Coord, LineString};
+use geo::Line;
 
-use crate::geometries::shapes::Shape;
+use crate::geometries::shapes::{Shape, edges};
 
 /// Pairs of edges that may cross at most.
 const MOST_PAIRS: usize = 4_000_000;
@@ -21,10 +21,8 @@ type Reach = [[f64; 2]; 2];
 /// # Errors
 /// With the numbers.
 pub(super) fn check_tangle(shapes: &[&Shape], distance: f64) -> Result<()> {
-    let mut reaches = Vec::new();
-    shapes
-        .iter()
-        .for_each(|shape| add(shape, distance.abs(), &mut reaches));
+    let edges = shapes.iter().flat_map(|shape| edges(shape));
+    let mut reaches: Vec<Reach> = edges.map(|edge| reach(edge, distance.abs())).collect();
     // Edges side by side along one axis lie one behind the other along the other.
     let is_fine = [0, 1]
         .into_iter()
@@ -38,26 +36,10 @@ pub(super) fn check_tangle(shapes: &[&Shape], distance: f64) -> Result<()> {
     }
 }
 
-fn add(shape: &Shape, distance: f64, reaches: &mut Vec<Reach>) {
-    let reach = |a: Coord, b: Coord| {
-        let along = |a: f64, b: f64| [a.min(b) - distance, a.max(b) + distance];
-        [along(a.x, b.x), along(a.y, b.y)]
-    };
-    let mut add_line = |line: &LineString| {
-        reaches.extend(line.lines().map(|edge| reach(edge.start, edge.end)));
-    };
-    match shape {
-        Shape::Point(point) => reaches.push(reach(point.0, point.0)),
-        Shape::LineString(line) => add_line(line),
-        Shape::Polygon(area) => {
-            add_line(area.exterior());
-            area.interiors().iter().for_each(add_line);
-        }
-        Shape::GeometryCollection(parts) => {
-            parts.iter().for_each(|part| add(part, distance, reaches));
-        }
-        _ => {}
-    }
+fn reach(edge: Line, distance: f64) -> Reach {
+    let along = |a: f64, b: f64| [a.min(b) - distance, a.max(b) + distance];
+    let Line { start, end } = edge;
+    [along(start.x, end.x), along(start.y, end.y)]
 }
 
 /// Whether few enough edges come near each other, looking along an axis; `None` where that takes too many looks.
@@ -89,7 +71,7 @@ fn are_few(reaches: &mut [Reach], axis: usize) -> Option<bool> {
 mod tests {
     use std::time::{Duration, Instant};
 
-    use geo::Polygon;
+    use geo::{Coord, Polygon};
 
     use super::*;
 

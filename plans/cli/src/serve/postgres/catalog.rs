@@ -114,7 +114,7 @@ pub fn is_of_catalog(statement: &Statement) -> bool {
 }
 
 /// The statement in words that the library's tables have: lists of what a map has none of are null (`ARRAY(SELECT …)`, columns
-/// of options and rights), names of functions and types that are looked up are without a schema, names are texts.
+/// of options and rights), names of functions and types that are looked up are without a schema.
 pub fn in_its_words(mut statement: Statement) -> Statement {
     if let Statement::Query(query) = &mut statement
         && let SetExpr::Select(select) = query.body.as_mut()
@@ -126,10 +126,6 @@ pub fn in_its_words(mut statement: Statement) -> Statement {
             *found = no_list();
         }
         match &mut *found {
-            Expr::Cast {
-                data_type: data_type @ SqlType::Custom(..),
-                ..
-            } if data_type.to_string() == "name" => *data_type = SqlType::Text,
             Expr::Function(call) => {
                 if let Some(same) = of_key(call).or_else(|| of_none(call)) {
                     *found = same;

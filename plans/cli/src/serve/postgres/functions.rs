@@ -16,6 +16,7 @@ use datafusion::scalar::ScalarValue;
 
 use crate::output::GEOMETRY;
 use crate::serve::postgres::geometry::OID;
+use crate::serve::postgres::values::{expected_other, uuid};
 
 /// A function by its name, what it takes, what it gives, and how it answers one call.
 pub fn function(
@@ -211,6 +212,50 @@ fn element(value: &str) -> String {
     format!("\"{escaped}\"")
 }
 
+/// The name of [`uuid_in`].
+pub const UUID_IN: &str = "uuid_in";
+
+/// `uuid_in(text)`: a UUID as Postgres writes it, with dashes; an error for a text that is none.
+pub fn uuid_in() -> ScalarUDF {
+    let takes = Signature::exact(vec![DataType::Utf8], Volatility::Immutable);
+    function(UUID_IN, takes, DataType::Utf8, |args| {
+        let columns = ColumnarValue::values_to_arrays(args)?;
+        let [texts] = columns.as_slice() else {
+            return exec_err!("expected one argument, found {}", columns.len());
+        };
+        Ok(ColumnarValue::Array(Arc::new(uuids(texts)?)))
+    })
+}
+
+/// The name of [`uuids_in`].
+pub const UUIDS_IN: &str = "uuids_in";
+
+/// `uuids_in(list)`: the same of the elements of a list.
+pub fn uuids_in() -> ScalarUDF {
+    let element: FieldRef = Arc::new(Field::new_list_field(DataType::Utf8, true));
+    let gives = DataType::List(Arc::clone(&element));
+    let takes = Signature::any(1, Volatility::Immutable);
+    function(UUIDS_IN, takes, gives, move |args| {
+        let columns = ColumnarValue::values_to_arrays(args)?;
+        let lists = list(&columns)?;
+        let values = uuids(&cast(lists.values(), &DataType::Utf8)?)?;
+        let (offsets, nulls) = (lists.offsets().clone(), lists.nulls().cloned());
+        let lists = ListArray::try_new(Arc::clone(&element), offsets, Arc::new(values), nulls)?;
+        Ok(ColumnarValue::Array(Arc::new(lists)))
+    })
+}
+
+fn uuids(texts: &ArrayRef) -> Result<StringArray> {
+    let written = |text: Option<&str>| match text {
+        Some(text) => match uuid(text) {
+            Some(uuid) => Ok(Some(uuid)),
+            None => exec_err!("{}", expected_other(text, "a value of the type uuid")),
+        },
+        None => Ok(None),
+    };
+    texts.as_string::<i32>().iter().map(written).collect()
+}
+
 /// The name of [`expand_array`].
 pub const EXPAND_ARRAY: &str = "_pg_expandarray";
 
@@ -276,6 +321,20 @@ mod tests {
         for path in ["v1", "public, v1", "\"v1\"", "'monday'"] {
             assert!(leads_elsewhere(path), "{path}");
         }
+    }
+
+    #[test]
+    fn uuids_are_written_with_dashes_and_what_is_none_is_told() {
+        let texts: ArrayRef = Arc::new(StringArray::from(vec![
+            Some("0193F0A17E2B7C3D8E4F5A6B7C8D9E0F"),
+            None,
+        ]));
+        let expected = StringArray::from(vec![Some("0193f0a1-7e2b-7c3d-8e4f-5a6b7c8d9e0f"), None]);
+        assert_eq!(uuids(&texts).ok(), Some(expected));
+        let none: ArrayRef = Arc::new(StringArray::from(vec!["7"]));
+        let told = uuids(&none).err().map(|error| error.to_string());
+        let said = "expected a value of the type uuid, found `7`";
+        assert!(told.is_some_and(|told| told.contains(said)));
     }
 
     #[test]

@@ -386,6 +386,8 @@ mod tests {
     #[test]
     fn what_the_parser_and_the_engine_say_has_the_number_that_postgres_has() {
         let mistyped = Parser::parse_sql(&PostgreSqlDialect {}, "SELEC 1").unwrap_err();
+        let no_uuid = "expected a value of the type uuid, found `7`";
+        let no_uuid = DataFusionError::Execution(no_uuid.to_owned());
         let by_nothing = DataFusionError::from(ArrowError::DivideByZero);
         for (error, code, says) in [
             (
@@ -397,6 +399,11 @@ mod tests {
                 PgWireError::ApiError(Box::new(by_nothing)),
                 "22012",
                 "Divide by zero",
+            ),
+            (
+                PgWireError::ApiError(Box::new(no_uuid)),
+                "22P02",
+                "found `7`",
             ),
         ] {
             let PgWireError::UserError(told) = fault_in_our_words(error) else {

@@ -409,6 +409,7 @@ fn code_of(message: &str) -> &'static str {
         () if says("there is no function ") => "42883",
         () if message.starts_with("SQL: ") || says("parser error") => "42601",
         () if says("Divide by zero") => "22012",
+        () if says("expected a value of the type ") => "22P02",
         () => "42000",
     }
 }

@@ -30,7 +30,7 @@ use crate::output::GEOMETRY;
 use crate::serve::postgres::format::format;
 use crate::serve::postgres::functions::{
     ARRAY_OUT, FormatType, SETTINGS, as_binary, constant, current_setting, expand_array,
-    set_config, to_regtype,
+    set_config, to_regtype, uuid_in, uuids_in,
 };
 use crate::serve::postgres::geometry::OID;
 use crate::serve::postgres::keys;
@@ -96,6 +96,8 @@ pub async fn complete(context: &SessionContext, name: &str) -> Result<()> {
         ARRAY_OUT.clone(),
         current_setting(),
         set_config(),
+        uuid_in(),
+        uuids_in(),
         as_binary(),
         expand_array(),
         format(),

@@ -1,5 +1,5 @@
 //! What PostGIS's clients write that queries of maps say otherwise: casts to geometries, boxes, the extent of a layer; and
-//! what Postgres' clients do, members of nested columns.
+//! what Postgres' clients do: members of nested columns, casts to types that are texts here.
 
 use std::ops::ControlFlow;
 
@@ -10,6 +10,7 @@ use datafusion::sql::sqlparser::ast::{
 
 use crate::output::GEOMETRY;
 use crate::serve::postgres::expression::expression;
+use crate::serve::postgres::functions::{UUID_IN, UUIDS_IN};
 
 /// The statement in words that queries of maps have.
 ///
@@ -18,6 +19,7 @@ use crate::serve::postgres::expression::expression;
 /// - `a && b` asks whether the rectangles of two geometries meet; `'BOX3D(…)'::box3d` is one.
 /// - `ST_Extent` is the rectangle of a whole layer, as the text `BOX(…)`.
 /// - `user` is `session_user`; `(pose).x` is a member of a nested column.
+/// - What is cast to `json`, `jsonb`, `name` and the like is a text; to `uuid`, one as Postgres writes it.
 /// - `GeometryType` and `ST_Zmflag` are asked of our functions.
 pub fn in_our_words(mut statement: Statement) -> Statement {
     let _ = visit_expressions_mut(&mut statement, |found| {
@@ -38,7 +40,7 @@ fn same(found: &Expr) -> Option<Expr> {
             match name.as_str() {
                 GEOMETRY => Some(geometry(expr)),
                 "box2d" | "box3d" => rectangle(text(expr)?),
-                _ => None,
+                _ => as_text(expr, &name),
             }
         }
         Expr::Function(call) if matches!(call.args, FunctionArguments::None) => {
@@ -68,6 +70,21 @@ fn same(found: &Expr) -> Option<Expr> {
         } => expression(&format!(
             "st_intersects(st_envelope({left}), st_envelope({right}))"
         )),
+        _ => None,
+    }
+}
+
+/// What is cast to a type, of this name, whose values are texts here, or to lists of such.
+fn as_text(of: &Expr, kind: &str) -> Option<Expr> {
+    let (item, list) = match kind.strip_suffix("[]") {
+        Some(item) => (item, "[]"),
+        None => (kind, ""),
+    };
+    let text = format!("CAST({of} AS TEXT{list})");
+    match item.strip_prefix("pg_catalog.").unwrap_or(item) {
+        "uuid" if list.is_empty() => expression(&format!("{UUID_IN}({text})")),
+        "uuid" => expression(&format!("{UUIDS_IN}({text})")),
+        "json" | "jsonb" | "name" | "bpchar" | "character varying" => expression(&text),
         _ => None,
     }
 }
@@ -184,6 +201,12 @@ mod tests {
             (
                 "SELECT (p.map_from_vehicle).x, (a) FROM poses p",
                 "SELECT get_field(p.map_from_vehicle, 'x'), (a) FROM poses p",
+            ),
+            (
+                "SELECT $1::uuid, CAST(site AS uuid[]), site::jsonb, $2::json[], site::name, site::pg_catalog.name, \
+                 CAST(site AS character varying), $3::regclass",
+                "SELECT uuid_in(CAST($1 AS TEXT)), uuids_in(CAST(site AS TEXT[])), CAST(site AS TEXT), \
+                 CAST($2 AS TEXT[]), CAST(site AS TEXT), CAST(site AS TEXT), CAST(site AS TEXT), $3::REGCLASS",
             ),
             (
                 "SELECT 1 && 2, 'BOX(forged)'::box3d, x::text FROM t",

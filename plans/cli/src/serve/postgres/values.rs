@@ -126,10 +126,14 @@ impl Bound<'_> {
 
 /// The error for a text that is not what is expected.
 pub fn found_other(text: &str, expected: &str) -> PgWireError {
+    error("ERROR", "22P02", &expected_other(text, expected))
+}
+
+/// What is said of a text that is not what is expected.
+pub fn expected_other(text: &str, expected: &str) -> String {
     let told: String = text.chars().take(TOLD).collect();
     let more = if told.len() < text.len() { "…" } else { "" };
-    let message = format!("expected {expected}, found `{told}{more}`");
-    error("ERROR", "22P02", &message)
+    format!("expected {expected}, found `{told}{more}`")
 }
 
 /// The error for bytes that are not what they should be.
@@ -220,14 +224,19 @@ fn numeric(bytes: &[u8]) -> Option<String> {
 /// UUIDs as Postgres writes them, with dashes; `None` where one of them is none.
 fn uuids(texts: &StringArray) -> Option<StringArray> {
     let written = |text: Option<&str>| match text {
-        Some(text) => Some(Some(Uuid::parse_str(text).ok()?.to_string())),
+        Some(text) => Some(Some(uuid(text)?)),
         None => Some(None),
     };
     texts.iter().map(written).collect()
 }
 
+/// A UUID as Postgres writes it, with dashes; `None` where a text is none.
+pub fn uuid(text: &str) -> Option<String> {
+    Uuid::parse_str(text).ok().map(|uuid| uuid.to_string())
+}
+
 /// A UUID in the format of bytes as a text; `None` where it is none.
-fn uuid(bytes: &[u8]) -> Option<String> {
+fn uuid_of_bytes(bytes: &[u8]) -> Option<String> {
     Uuid::from_slice(bytes).ok().map(|uuid| uuid.to_string())
 }
 
@@ -249,7 +258,7 @@ impl Format {
             }),
             Type::UUID | Type::UUID_ARRAY => Some(Self {
                 oid: Type::UUID.oid(),
-                read: uuid,
+                read: uuid_of_bytes,
             }),
             _ => None,
         }

@@ -4,17 +4,13 @@ use std::sync::Arc;
 
 use arrow::array::{ArrayRef, AsArray};
 use arrow::compute::cast;
-use arrow::datatypes::{
-    DataType, Int64Type, IntervalMonthDayNano, IntervalMonthDayNanoType, IntervalUnit,
-};
+use arrow::datatypes::{Int64Type, IntervalMonthDayNano, IntervalMonthDayNanoType};
 use arrow::error::ArrowError;
 use datafusion::common::{Result, ScalarValue};
 use datafusion::logical_expr::Accumulator;
 
+use crate::sql::lengths::WHOLE;
 use crate::sql::overflow::totals::Sum;
-
-/// What intervals are added up as, and their sum is.
-pub const WHOLE: DataType = DataType::Interval(IntervalUnit::MonthDayNano);
 
 /// The sum of all rows, or of those in a window.
 #[derive(Debug, Default)]

@@ -15,7 +15,8 @@ use datafusion::logical_expr::{
 };
 
 use crate::sql::floats::{FloatSum, Moving};
-use crate::sql::overflow::intervals::{self, IntervalSum};
+use crate::sql::lengths::WHOLE;
+use crate::sql::overflow::intervals::IntervalSum;
 use crate::sql::overflow::totals::{Adds, DistinctSum, Groups, Sum, WIDE, Whole};
 
 /// DataFusion's `sum` or `avg`, but for what would wrap in 64 bits, and for floating point numbers of a window that moves.
@@ -119,7 +120,7 @@ impl AggregateUDFImpl for CheckedSum {
 
     fn return_type(&self, types: &[DataType]) -> Result<DataType> {
         Ok(match self.inner.return_type(types)? {
-            DataType::Interval(_) => intervals::WHOLE,
+            DataType::Interval(_) => WHOLE,
             result => result,
         })
     }
