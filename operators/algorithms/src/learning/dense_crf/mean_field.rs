@@ -5,16 +5,11 @@
     reason = "an index over lanes is what becomes one vector instruction"
 )]
 
-use std::ops::Range;
-
 use super::softmax::{softmax, sum};
+use super::tiles::Tiles;
 use super::{ColourView, CrfError, Kernels, Marginals, Unary};
 use crate::learning::permutohedral::{BLOCK, Buffer, Eight, Lattice, Value};
 use crate::processor::vectorised;
-
-/// Side of the tiles in which pixels are worked on: a block of the lattices, whose distributions stay in the first
-/// cache.
-const TILE_PX: usize = 16;
 
 /// What classes that do not exist weigh.
 const NEVER: f32 = -1e30;
@@ -29,8 +24,8 @@ pub(super) struct Kernel<const V: usize> {
 /// How the pixels of an image are joined. Everything that depends on the image alone is computed once.
 #[derive(Debug, Clone, PartialEq)]
 pub struct RandomField {
-    /// The pixels in the order of the lattices' positions: tile by tile.
-    pub(super) order: Vec<u32>,
+    /// The order of the lattices' positions.
+    pub(super) tiles: Tiles,
     /// By place and colour.
     pub(super) appearance: Option<Kernel<6>>,
     /// By place.
@@ -46,12 +41,7 @@ impl RandomField {
     /// [`CrfError`] for kernels that cannot be used, or that are too small for so large an image.
     pub fn new(image: &ColourView<'_>, kernels: &Kernels, wraps: bool) -> Result<Self, CrfError> {
         kernels.check()?;
-        let (width, height) = (image.width(), image.height());
-        let mut order = Vec::with_capacity(width * height);
-        tiled(width, height, |row, columns| {
-            order.extend(columns.map(|column| (row * width + column) as u32));
-        });
-        let appearance = || appearance(image, &order, kernels, wraps);
+        let appearance = || appearance(image, kernels, wraps);
         let smoothness = || smoothness(image, kernels, wraps);
         let (appearance, smoothness) = rayon::join(
             || {
@@ -67,7 +57,7 @@ impl RandomField {
         );
         let (appearance, smoothness) = (appearance?, smoothness?);
         Ok(Self {
-            order,
+            tiles: Tiles::of(image),
             appearance,
             smoothness,
         })
@@ -75,7 +65,7 @@ impl RandomField {
 
     /// Number of pixels.
     pub fn pixels(&self) -> usize {
-        self.order.len()
+        self.tiles.pixels()
     }
 
     /// The distributions after a number of rounds of mean field; after none, those of the pixels by themselves.
@@ -108,35 +98,27 @@ impl RandomField {
     /// With the classes padded to `K` times eight. One more follows from the others: all together are what the filter
     /// makes of ones.
     fn run<const K: usize>(&self, unary: &Unary, iterations: u32) -> Vec<f32> {
-        let mut probabilities = vec![0.0; unary.costs.len()];
         let own = Own {
             classes: unary.classes,
-            costs: self.ordered(unary),
             together: (unary.classes > 8 * K).then(|| self.of_ones()),
         };
+        let mut values = self.tiles.gathered(&unary.costs, unary.classes);
         let mut block = Block::<K>::default();
         let mut beliefs = (
             Belief::<K, 6>::of(self.appearance.as_ref()),
             Belief::<K, 3>::of(self.smoothness.as_ref()),
         );
         for round in 0..=iterations {
-            let last = (round == iterations).then_some(&mut probabilities[..]);
             vectorised(
                 #[inline(always)]
-                || self.pass(&own, &mut beliefs, &mut block, round > 0, last),
+                || {
+                    let ends = [round == 0, round == iterations];
+                    self.pass(&own, &mut values, &mut beliefs, &mut block, ends);
+                },
             );
         }
-        probabilities
-    }
-
-    /// The pixels' costs in the order of the lattices' positions: they are read in every round.
-    fn ordered(&self, unary: &Unary) -> Vec<f32> {
-        let mut costs = Vec::with_capacity(unary.costs.len());
-        for pixel in &self.order {
-            let first = *pixel as usize * unary.classes;
-            costs.extend_from_slice(&unary.costs[first..first + unary.classes]);
-        }
-        costs
+        self.tiles.lay_out(&mut values, unary.classes);
+        values
     }
 
     /// What the kernels make of ones, pixel by pixel in the order of the lattices' positions.
@@ -158,36 +140,38 @@ impl RandomField {
     }
 
     /// One round: what the lattices hold is blurred and sliced into every pixel's logarithms, which become
-    /// distributions, which are splatted for the next round, or, in the last one, written out.
+    /// distributions, which are splatted for the next round, or, in the last one, take the place of the costs. In the
+    /// first one the lattices hold nothing.
     #[inline(always)]
     fn pass<const K: usize>(
         &self,
         own: &Own,
+        values: &mut [f32],
         (appearance, smoothness): &mut (Belief<'_, K, 6>, Belief<'_, K, 3>),
         block: &mut Block<K>,
-        informed: bool,
-        mut last: Option<&mut [f32]>,
+        [first, last]: [bool; 2],
     ) {
         let padding = padding(own.classes);
-        if informed {
+        if !first {
             appearance.blur();
             smoothness.blur();
         }
-        for (index, pixels) in self.order.chunks(BLOCK).enumerate() {
+        for index in 0..self.pixels().div_ceil(BLOCK) {
+            let begin = index * BLOCK;
             let Block { lanes, spare } = block;
-            let lanes = &mut lanes[..pixels.len()];
+            let lanes = &mut lanes[..BLOCK.min(self.pixels() - begin)];
             lanes.fill(<[Eight; K]>::ZERO);
-            if informed {
+            if !first {
                 appearance.add_to(index, lanes);
                 smoothness.add_to(index, lanes);
             }
-            let costs = &own.costs[index * BLOCK * own.classes..];
+            let costs = &values[begin * own.classes..];
             match &own.together {
                 None => spare.fill(NEVER),
                 Some(together) => {
-                    let pixels = together[index * BLOCK..].iter().zip(&*lanes).enumerate();
+                    let pixels = together[begin..].iter().zip(&*lanes).enumerate();
                     for ((pixel, (together, lanes)), spare) in pixels.zip(&mut *spare) {
-                        let told = if informed { together - sum(lanes) } else { 0.0 };
+                        let told = if first { 0.0 } else { together - sum(lanes) };
                         *spare = told - costs[pixel * own.classes + 8 * K];
                     }
                 }
@@ -196,17 +180,14 @@ impl RandomField {
                 subtract(&costs[pixel * own.classes..], &padding, own.classes, lanes);
             }
             softmax(lanes, spare);
-            match &mut last {
-                None => {
-                    appearance.take(index, lanes);
-                    smoothness.take(index, lanes);
+            if last {
+                let out = values[begin * own.classes..].chunks_exact_mut(own.classes);
+                for ((lanes, spare), out) in lanes.iter().zip(spare).zip(out) {
+                    write(lanes, *spare, out);
                 }
-                Some(out) => {
-                    for ((lanes, spare), pixel) in lanes.iter().zip(spare).zip(pixels) {
-                        let first = *pixel as usize * own.classes;
-                        write(lanes, *spare, &mut out[first..first + own.classes]);
-                    }
-                }
+            } else {
+                appearance.take(index, lanes);
+                smoothness.take(index, lanes);
             }
         }
         appearance.advance();
@@ -214,10 +195,9 @@ impl RandomField {
     }
 }
 
-/// What pixels say by themselves, in the order of the lattices' positions.
+/// What pixels say by themselves, but for their costs.
 struct Own {
     classes: usize,
-    costs: Vec<f32>,
     /// Where one class follows from the others: what the kernels say of all together.
     together: Option<Vec<f32>>,
 }
@@ -234,17 +214,6 @@ impl<const K: usize> Default for Block<K> {
         Self {
             lanes: vec![Value::ZERO; BLOCK],
             spare: [0.0; BLOCK],
-        }
-    }
-}
-
-/// Visits the pixels of an image tile by tile: a row, and the columns that a tile has there.
-fn tiled(width: usize, height: usize, mut visit: impl FnMut(usize, Range<usize>)) {
-    for top in (0..height).step_by(TILE_PX) {
-        for left in (0..width).step_by(TILE_PX) {
-            for row in top..(top + TILE_PX).min(height) {
-                visit(row, left..(left + TILE_PX).min(width));
-            }
         }
     }
 }
@@ -349,15 +318,22 @@ fn write<const K: usize>(lanes: &[Eight; K], spare: f32, out: &mut [f32]) {
 
 fn appearance(
     image: &ColourView<'_>,
-    order: &[u32],
     kernels: &Kernels,
     wraps: bool,
 ) -> Result<Kernel<6>, CrfError> {
     let (x, y, cells) = places(image, kernels.appearance_px, wraps);
-    let colour = |channel: usize| -> Vec<f32> {
-        let deviation = kernels.appearance_colour as f32;
-        let value = |pixel: &u32| f32::from(image.pixels()[*pixel as usize][channel]) / deviation;
-        order.iter().map(value).collect()
+    let deviation = kernels.appearance_colour as f32;
+    let colour = |channel: usize| {
+        let mut values = Vec::with_capacity(x.len());
+        Tiles::of(image).visit(|pixels| {
+            let of_row = &image.pixels()[pixels];
+            values.extend(
+                of_row
+                    .iter()
+                    .map(|pixel| f32::from(pixel[channel]) / deviation),
+            );
+        });
+        values
     };
     let [red, green, blue] = [colour(0), colour(1), colour(2)];
     let coordinates: [&[f32]; 5] = [&x, &y, &red, &green, &blue];
@@ -391,10 +367,13 @@ fn places(
             .collect()
     };
     let (of_column, of_row) = (scaled(width, along_x), scaled(image.height(), deviation_px));
-    let (mut x, mut y) = (Vec::new(), Vec::new());
-    tiled(width, image.height(), |row, columns| {
-        y.resize(y.len() + columns.len(), of_row[row]);
-        x.extend_from_slice(&of_column[columns]);
+    let tiles = Tiles::of(image);
+    let pixels = tiles.pixels();
+    let (mut x, mut y) = (Vec::with_capacity(pixels), Vec::with_capacity(pixels));
+    tiles.visit(|pixels| {
+        let (row, column) = (pixels.start / width, pixels.start % width);
+        y.resize(y.len() + pixels.len(), of_row[row]);
+        x.extend_from_slice(&of_column[column..column + pixels.len()]);
     });
     (x, y, cells)
 }
@@ -409,9 +388,7 @@ fn kernel<const V: usize>(
         Some(cells) => Lattice::periodic(coordinates, cells)?,
         None => Lattice::new(coordinates)?,
     };
-    let sums = lattice.filter(&vec![1.0; lattice.len()]);
-    let factors: Vec<f32> = sums.iter().map(|sum| 1.0 / (sum + 1e-20).sqrt()).collect();
-    lattice.scale(&factors);
+    lattice.normalise();
     Ok(Kernel {
         lattice,
         weight: weight as f32,

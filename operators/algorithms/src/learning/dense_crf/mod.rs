@@ -25,6 +25,7 @@ mod search;
 mod softmax;
 #[cfg(test)]
 mod tests;
+mod tiles;
 mod unary;
 mod upsample;
 

@@ -1,7 +1,7 @@
 //! The lattice's values and their blur.
 
 use super::table::{Key, Keys};
-use super::{Value, wrap};
+use super::{Value, wrap_one};
 
 /// Along each axis, of each corner: the corners before and after it, 0 where the lattice has none.
 pub(super) fn neighbours<const V: usize>(
@@ -15,7 +15,7 @@ pub(super) fn neighbours<const V: usize>(
                 let mut after: Key<V> = *points.key(point);
                 after.iter_mut().for_each(|coordinate| *coordinate += 1);
                 after[axis] -= V as i32;
-                wrap(&mut after, period);
+                wrap_one(&mut after, period);
                 if let Some(after) = points.find(&after) {
                     along[point][1] = after;
                     along[after as usize][0] = point as u32;

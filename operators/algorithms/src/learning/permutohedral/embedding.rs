@@ -39,11 +39,19 @@ impl<const V: usize> Default for Embedding<V> {
     }
 }
 
-/// To the nearest integer, halves to even: adding 1.5 · 2²³ leaves a float no room for a fraction.
+/// 1.5 · 2²³: added to it, a float has no room for a fraction.
+const ROOM: f32 = 12_582_912.0;
+
+/// To the nearest integer, halves to even.
 #[inline(always)]
 fn round(value: f32) -> f32 {
-    const ROOM: f32 = 12_582_912.0;
     (value + ROOM) - ROOM
+}
+
+/// The same as an integer: the last bits of the sum.
+#[inline(always)]
+fn whole(value: f32) -> i32 {
+    (value + ROOM).to_bits() as i32 - ROOM.to_bits() as i32
 }
 
 impl<const V: usize> Embedding<V> {
@@ -158,13 +166,20 @@ impl<const V: usize> Embedding<V> {
         std::array::from_fn(|corner| self.weights[corner][lane])
     }
 
-    /// The simplex of a position: its remainder-0 point, whose last coordinate follows from the others and makes room
-    /// for the order of the ranks.
+    /// The simplices of all positions, coordinate by coordinate: their remainder-0 points, whose last coordinate follows
+    /// from the others and makes room for the order of the ranks.
     #[inline(always)]
-    pub(super) fn simplex(&self, lane: usize) -> Key<V> {
-        let mut key: Key<V> = std::array::from_fn(|axis| self.origin[axis][lane] as i32);
-        key[V - 1] = (0..V).fold(0, |ranks, axis| (ranks << 3) | self.rank[axis][lane] as i32);
-        key
+    pub(super) fn simplices(&self) -> [[i32; LANES]; V] {
+        let mut keys = [[0; LANES]; V];
+        for axis in 0..V {
+            for lane in 0..LANES {
+                if axis + 1 < V {
+                    keys[axis][lane] = whole(self.origin[axis][lane]);
+                }
+                keys[V - 1][lane] = (keys[V - 1][lane] << 3) | whole(self.rank[axis][lane]);
+            }
+        }
+        keys
     }
 }
 

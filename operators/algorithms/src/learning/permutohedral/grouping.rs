@@ -20,8 +20,8 @@ pub(super) struct Grouping<const V: usize> {
     runs: Vec<Run>,
     /// Of each block: where its runs end.
     blocks: Vec<u32>,
-    /// Simplices of the members that are not grouped yet.
-    open: Vec<u32>,
+    /// What is not grouped yet: simplices and barycentric coordinates.
+    open: Vec<(u32, [f32; V])>,
     /// Of each simplex: the block that saw it last, counted from 1, and its place among that block's simplices.
     seen: Vec<(u32, u8)>,
 }
@@ -40,8 +40,7 @@ impl<const V: usize> Grouping<V> {
     /// The next position.
     #[inline(always)]
     pub(super) fn push(&mut self, simplex: u32, weights: [f32; V]) {
-        self.members.push((self.open.len() as u8, weights));
-        self.open.push(simplex);
+        self.open.push((simplex, weights));
         if self.open.len() == BLOCK {
             self.group();
         }
@@ -56,14 +55,14 @@ impl<const V: usize> Grouping<V> {
         self.open = Vec::new();
     }
 
-    /// Sorts the open members by their simplices, in the order in which these appear, by counting.
+    /// Sorts what is open by its simplices, in the order in which these appear, by counting.
     fn group(&mut self) {
-        let first = self.members.len() - self.open.len();
+        let first = self.members.len();
         let block = self.blocks.len() as u32 + 1;
         let mut places = [0u8; BLOCK];
         let mut ends = [0u32; BLOCK];
         let first_run = self.runs.len();
-        for (place, simplex) in places.iter_mut().zip(&self.open) {
+        for (place, (simplex, _)) in places.iter_mut().zip(&self.open) {
             let number = *simplex as usize;
             if self.seen.len() <= number {
                 self.seen.resize(2 * number + 1, (0, 0));
@@ -86,13 +85,13 @@ impl<const V: usize> Grouping<V> {
             run.end = first as u32 + end;
             *count = begin;
         }
-        let mut sorted = [(0, [0.0; V]); BLOCK];
-        for (place, member) in places.iter().zip(&self.members[first..]) {
+        self.members.resize(first + self.open.len(), (0, [0.0; V]));
+        let members = &mut self.members[first..];
+        for (lane, (place, (_, weights))) in places.iter().zip(&self.open).enumerate() {
             let next = &mut ends[usize::from(*place)];
-            sorted[*next as usize] = *member;
+            members[*next as usize] = (lane as u8, *weights);
             *next += 1;
         }
-        self.members[first..].copy_from_slice(&sorted[..self.open.len()]);
         self.blocks.push(self.runs.len() as u32);
         self.open.clear();
     }
@@ -121,17 +120,18 @@ impl<const V: usize> Grouping<V> {
         })
     }
 
-    /// Multiplies each position's coordinates by its factor.
-    pub(super) fn scale(&mut self, factors: &[f32]) {
-        let blocks = self.members.chunks_mut(BLOCK).zip(factors.chunks(BLOCK));
-        for (members, factors) in blocks {
-            for (lane, weights) in members {
-                let factor = factors.get(usize::from(*lane)).copied().unwrap_or(1.0);
-                for weight in weights {
-                    *weight *= factor;
-                }
-            }
-        }
+    /// The simplices of all blocks, each with its members.
+    #[inline(always)]
+    pub(super) fn all_mut(&mut self) -> impl Iterator<Item = (usize, &mut [Member<V>])> {
+        let mut rest = &mut self.members[..];
+        let mut begin = 0;
+        self.runs.iter().map(move |run| {
+            let (members, after) =
+                std::mem::take(&mut rest).split_at_mut((run.end - begin) as usize);
+            rest = after;
+            begin = run.end;
+            (run.simplex as usize, members)
+        })
     }
 
     /// The barycentric coordinates of all positions, in some order.

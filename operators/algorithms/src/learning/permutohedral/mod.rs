@@ -32,7 +32,7 @@ pub use value::{Eight, Value};
 
 use embedding::{Embedding, LANES};
 use grouping::Grouping;
-use table::{Key, Keys};
+use table::{Key, Keys, hashes};
 
 use crate::processor::vectorised;
 
@@ -132,7 +132,7 @@ impl<const V: usize> Lattice<V> {
                 let key = simplices.key(simplex);
                 std::array::from_fn(|remainder| {
                     let mut corner = embedding::corner(key, remainder);
-                    wrap(&mut corner, period);
+                    wrap_one(&mut corner, period);
                     points.insert(&corner)
                 })
             })
@@ -160,10 +160,35 @@ impl<const V: usize> Lattice<V> {
         self.corners.len()
     }
 
-    /// Multiplies the weights of each position by a factor of its own: values then count that much when they are
-    /// splatted, and again when they are sliced.
-    pub fn scale(&mut self, factors: &[f32]) {
-        self.grouping.scale(factors);
+    /// Multiplies the weights of each position by one over the root of what the filter makes of ones there: values then
+    /// count that much when they are splatted, and again when they are sliced.
+    pub fn normalise(&mut self) {
+        let buffer = self.buffer();
+        vectorised(
+            #[inline(always)]
+            || self.normalise_in(buffer),
+        );
+    }
+
+    #[inline(always)]
+    fn normalise_in(&mut self, mut ones: Buffer<f32>) {
+        for block in 0..self.len().div_ceil(BLOCK) {
+            self.splat(block, &[1.0; BLOCK], ones.values_mut());
+        }
+        self.blur(&mut ones, self.constant());
+        for (simplex, members) in self.grouping.all_mut() {
+            let corners = self.corners[simplex].map(|corner| ones.values()[corner as usize]);
+            for (_, weights) in members {
+                let mut sum = 0.0;
+                for corner in 0..V {
+                    sum.add_scaled(weights[corner], &corners[corner]);
+                }
+                let factor = 1.0 / (sum + 1e-20).sqrt();
+                for weight in weights {
+                    *weight *= factor;
+                }
+            }
+        }
     }
 
     /// Filters one number per position; such that are missing are zero.
@@ -271,11 +296,13 @@ fn embed_into<const V: usize>(
     let mut last = ([i32::MIN; V], 0);
     for first in (0..positions).step_by(LANES) {
         embedding.embed(coordinates, first);
+        let mut keys = embedding.simplices();
+        wrap(&mut keys, period);
+        let hashes = hashes(&keys);
         for lane in 0..LANES.min(positions - first) {
-            let mut key = embedding.simplex(lane);
-            wrap(&mut key, period);
+            let key = keys.map(|coordinates| coordinates[lane]);
             if key != last.0 {
-                last = (key, simplices.insert(&key));
+                last = (key, simplices.insert_hashed(&key, hashes[lane]));
             }
             grouping.push(last.1, embedding.weights(lane));
         }
@@ -305,12 +332,22 @@ fn checked<const V: usize>(coordinates: &[&[f32]]) -> Result<usize, LatticeError
     }
 }
 
-/// Brings a key's first coordinate into the first period.
+/// Brings the first coordinate of keys, which are given coordinate by coordinate, into the first period.
 #[inline(always)]
-fn wrap<const V: usize>(key: &mut Key<V>, period: Option<i32>) {
+fn wrap<const V: usize, const KEYS: usize>(keys: &mut [[i32; KEYS]; V], period: Option<i32>) {
     if let Some(period) = period {
-        let around = key[0].div_euclid(period) * period;
-        key[0] -= around;
-        key[1] += around;
+        for key in 0..KEYS {
+            let around = keys[0][key].div_euclid(period) * period;
+            keys[0][key] -= around;
+            keys[1][key] += around;
+        }
     }
+}
+
+/// The same of one key.
+#[inline(always)]
+fn wrap_one<const V: usize>(key: &mut Key<V>, period: Option<i32>) {
+    let mut keys = key.map(|coordinate| [coordinate]);
+    wrap(&mut keys, period);
+    *key = keys.map(|[coordinate]| coordinate);
 }

@@ -33,13 +33,19 @@ impl<const V: usize> Keys<V> {
     /// The number of a key, if it is there.
     #[inline(always)]
     pub(super) fn find(&self, key: &Key<V>) -> Option<u32> {
-        self.slots[self.slot(key)].checked_sub(1)
+        self.slots[self.slot(key, hash(key))].checked_sub(1)
     }
 
     /// The number of a key, which is added if it is new.
     #[inline(always)]
     pub(super) fn insert(&mut self, key: &Key<V>) -> u32 {
-        let slot = self.slot(key);
+        self.insert_hashed(key, hash(key))
+    }
+
+    /// The same, of a key whose [`hash`] is known.
+    #[inline(always)]
+    pub(super) fn insert_hashed(&mut self, key: &Key<V>, hash: u32) -> u32 {
+        let slot = self.slot(key, hash);
         if let Some(number) = self.slots[slot].checked_sub(1) {
             return number;
         }
@@ -54,9 +60,9 @@ impl<const V: usize> Keys<V> {
 
     /// Where the key is, or would be.
     #[inline(always)]
-    fn slot(&self, key: &Key<V>) -> usize {
+    fn slot(&self, key: &Key<V>, hash: u32) -> usize {
         let most = self.slots.len() - 1;
-        let mut slot = hash(key) as usize & most;
+        let mut slot = hash as usize & most;
         loop {
             match self.slots[slot].checked_sub(1) {
                 Some(number) if self.keys[number as usize] != *key => slot = (slot + 1) & most,
@@ -69,7 +75,8 @@ impl<const V: usize> Keys<V> {
     fn grow(&mut self) {
         self.slots = vec![0; 2 * self.slots.len()];
         for number in 0..self.keys.len() {
-            let slot = self.slot(&self.keys[number]);
+            let key = &self.keys[number];
+            let slot = self.slot(key, hash(key));
             self.slots[slot] = number as u32 + 1;
         }
     }
@@ -77,11 +84,18 @@ impl<const V: usize> Keys<V> {
 
 /// Mixed so that the lower bits depend on all coordinates.
 #[inline(always)]
-fn hash<const V: usize>(key: &Key<V>) -> u64 {
-    let mut mixed = 0u64;
-    for coordinate in key {
-        mixed = (mixed.rotate_left(23) ^ u64::from(*coordinate as u32))
-            .wrapping_mul(0x9e37_79b9_7f4a_7c15);
+fn hash<const V: usize>(key: &Key<V>) -> u32 {
+    hashes(&key.map(|coordinate| [coordinate]))[0]
+}
+
+/// The hashes of several keys, which are given coordinate by coordinate.
+#[inline(always)]
+pub(super) fn hashes<const V: usize, const KEYS: usize>(keys: &[[i32; KEYS]; V]) -> [u32; KEYS] {
+    let mut mixed = [0u32; KEYS];
+    for coordinates in keys {
+        for (mixed, coordinate) in mixed.iter_mut().zip(coordinates) {
+            *mixed = (mixed.rotate_left(11) ^ *coordinate as u32).wrapping_mul(0x9e37_79b1);
+        }
     }
-    mixed ^ (mixed >> 32)
+    mixed.map(|mixed| mixed ^ (mixed >> 15))
 }

@@ -231,6 +231,76 @@ fn impurity(samples: &[(u8, u8, u32)], weights: &[f64], threshold: u8) -> Option
     Some(side(true)? + side(false)?)
 }
 
+/// Each sample by itself, down the trees as they are stored.
+fn one_by_one(trees: &[Tree], values: &[u8], dimensions: usize) -> Vec<f32> {
+    let mut scores = Vec::new();
+    for sample in values.chunks_exact(dimensions) {
+        let mut sums = [0.0_f32; 3];
+        for tree in trees {
+            let mut node = tree.nodes[0];
+            while node.left != 0 {
+                let right = sample[usize::from(node.feature)] > node.threshold;
+                node = tree.nodes[node.left as usize + usize::from(right)];
+            }
+            for (sum, p) in sums
+                .iter_mut()
+                .zip(&tree.distributions[3 * node.leaf as usize..])
+            {
+                *sum += p;
+            }
+        }
+        scores.extend(sums.map(|sum| sum * (trees.len() as f32).recip()));
+    }
+    scores
+}
+
+/// A tree in which every sample takes so many steps, by features from `first` on.
+fn full(depth: u32, first: u16) -> Tree {
+    let inner = (1_u32 << depth) - 1;
+    let node = |index: u32| match index.checked_sub(inner) {
+        None => Node {
+            feature: first + (index % 6) as u16,
+            threshold: (97 * index % 251) as u8,
+            left: 2 * index + 1,
+            leaf: 0,
+        },
+        Some(leaf) => Node {
+            leaf,
+            ..Node::default()
+        },
+    };
+    Tree {
+        nodes: (0..=2 * inner).map(node).collect(),
+        distributions: (0..3 * (inner + 1)).map(|i| (i % 31) as f32).collect(),
+        held_out: None,
+    }
+}
+
+#[test]
+fn trees_with_many_nodes_or_features_are_walked_too() {
+    let (_, unseen) = puzzle(700, 8);
+    let short = full(3, 0);
+    let far = Tree {
+        nodes: full(3, 506).nodes,
+        ..short.clone()
+    };
+    // One more than 9 bits count, and one more level than 15 bits do.
+    for (trees, dimensions) in [
+        ([short.clone(), full(14, 0)], 6),
+        ([full(15, 0), short.clone()], 6),
+        ([far, short], 512),
+        ([full(4, 508), full(15, 507)], 514),
+    ] {
+        let mut values = vec![0; 700 * dimensions];
+        for (all, last) in values.chunks_exact_mut(dimensions).zip(unseen.chunks(6)) {
+            all[dimensions - 6..].copy_from_slice(last);
+        }
+        let forest = Forest::new(&trees, dimensions, 3).unwrap();
+        let expected = one_by_one(&trees, &values, dimensions);
+        assert_eq!(predicted(&forest, &values, None), expected);
+    }
+}
+
 proptest! {
     #[test]
     fn the_best_split_is_found(
@@ -265,22 +335,6 @@ proptest! {
         let trees = train(&samples(&labels, &values, &[]), &ForestOptions { trees: 3, ..options() });
         let forest = Forest::new(&trees, 6, 3).unwrap();
         let (_, unseen) = puzzle(count, seed.wrapping_add(1));
-        let found = predicted(&forest, &unseen, None);
-        for (sample, found) in unseen.chunks_exact(6).zip(found.chunks_exact(3)) {
-            let mut expected = [0.0_f32; 3];
-            for tree in &trees {
-                let mut node = tree.nodes[0];
-                while node.left != 0 {
-                    let right = sample[usize::from(node.feature)] > node.threshold;
-                    node = tree.nodes[node.left as usize + usize::from(right)];
-                }
-                for (sum, p) in expected.iter_mut().zip(&tree.distributions[3 * node.leaf as usize..]) {
-                    *sum += p;
-                }
-            }
-            for (found, expected) in found.iter().zip(expected) {
-                prop_assert!((found - expected / 3.0).abs() < 1e-6);
-            }
-        }
+        prop_assert_eq!(predicted(&forest, &unseen, None), one_by_one(&trees, &unseen, 6));
     }
 }

@@ -37,15 +37,17 @@ fn kernels() -> Kernels {
     }
 }
 
+/// The pixels in the order of the lattices' positions.
+fn order(field: &RandomField) -> Vec<usize> {
+    let mut order = Vec::new();
+    field.tiles.visit(|pixels| order.extend(pixels));
+    order
+}
+
 /// Σ_m w_m k_m between all pairs, column by column: what the filters make of a single pixel.
 fn pairs(field: &RandomField) -> Vec<Vec<f64>> {
-    let at = |pixel: usize| {
-        field
-            .order
-            .iter()
-            .position(|of| *of as usize == pixel)
-            .unwrap()
-    };
+    let order = order(field);
+    let at = |pixel: usize| order.iter().position(|of| *of == pixel).unwrap();
     (0..PIXELS)
         .map(|pixel| {
             let mut one = vec![0.0; PIXELS];
@@ -76,9 +78,9 @@ fn energy(field: &RandomField, unary: &Unary, labels: &[u8]) -> f64 {
         .map(|(of, label)| f64::from(of[usize::from(*label)]))
         .sum();
     let joint = |class: u8| {
-        let order = field.order.iter();
-        let one: Vec<f32> = order
-            .map(|pixel| f32::from(u8::from(labels[*pixel as usize] == class)))
+        let one: Vec<f32> = order(field)
+            .into_iter()
+            .map(|pixel| f32::from(u8::from(labels[pixel] == class)))
             .collect();
         let together = |filtered: Vec<f32>, weight: f32| {
             let products = one.iter().zip(filtered).map(|(a, b)| f64::from(a * b));
