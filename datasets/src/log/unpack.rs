@@ -50,9 +50,9 @@ pub fn unpack(
         return Ok((bytes.into(), None));
     }
     let mut bytes = Vec::new();
-    let mut reader = reader(compression, &data[..])?.take(size + 1);
-    let damage = match reader.read_to_end(&mut bytes) {
-        Ok(_) => wrong_size(bytes.len() as u64, size),
+    let mut reader = reader(compression, &data[..])?;
+    let damage = match as_it_comes(&mut reader, size + 1, &mut bytes) {
+        Ok(()) => wrong_size(bytes.len() as u64, size),
         Err(error) => Some((Reason::BadCompression, error.to_string())),
     };
     bytes.truncate(size as usize);
@@ -77,6 +77,20 @@ pub(crate) fn check_claim(compression: &str, size: u64) -> Result<(), Damage> {
         ));
     }
     Ok(())
+}
+
+/// What a reader has, up to so many bytes. Room is made by what came, four times as much each time: what is left behind as
+/// it grows is small beside it.
+fn as_it_comes(reader: &mut impl Read, most: u64, bytes: &mut Vec<u8>) -> io::Result<()> {
+    loop {
+        let came = bytes.len() as u64;
+        let room = (3 * came).max(LIKELY_BYTES).min(most - came);
+        bytes.try_reserve_exact(room as usize)?;
+        let read = reader.by_ref().take(room).read_to_end(bytes)? as u64;
+        if read < room || room == 0 {
+            return Ok(());
+        }
+    }
 }
 
 fn wrong_size(found: u64, claimed: u64) -> Option<Damage> {
@@ -239,6 +253,20 @@ mod tests {
         let mut lz4 = lz4_flex::frame::FrameEncoder::with_frame_info(blocks, Vec::new());
         io::Write::write_all(&mut lz4, text).unwrap();
         lz4.finish().unwrap()
+    }
+
+    #[test]
+    fn what_shrank_beyond_belief_comes_out_as_it_comes_and_no_more_than_is_claimed() {
+        const ZEROS: u64 = 9 << 20;
+        let zeros = packed("zstd", &vec![0; ZEROS as usize]);
+        for claimed in [ZEROS, ZEROS - 1, ZEROS + 1, 2 * ZEROS] {
+            let (found, damage) = unpack("zstd", zeros.clone().into(), claimed).unwrap();
+            assert_eq!(found.len() as u64, claimed.min(ZEROS));
+            assert_eq!(damage.is_some(), claimed != ZEROS, "{damage:?}");
+        }
+        let mut bytes = Vec::new();
+        as_it_comes(&mut io::repeat(0), ZEROS, &mut bytes).unwrap();
+        assert_eq!(bytes.capacity() as u64, ZEROS);
     }
 
     #[test]
