@@ -5,14 +5,14 @@
 //! them, and the shortest and the longest interval found.
 
 mod extreme;
+mod length;
 
 use std::sync::{Arc, LazyLock};
 
 use arrow::array::AsArray;
 use arrow::compute::cast;
 use arrow::datatypes::{
-    DECIMAL128_MAX_PRECISION, DataType, Decimal128Type, IntervalMonthDayNano,
-    IntervalMonthDayNanoType, IntervalUnit,
+    DECIMAL128_MAX_PRECISION, DataType, Decimal128Type, IntervalMonthDayNanoType,
 };
 use datafusion::common::config::ConfigOptions;
 use datafusion::common::tree_node::Transformed;
@@ -28,12 +28,9 @@ use datafusion::optimizer::analyzer::function_rewrite::ApplyFunctionRewrites;
 use datafusion::prelude::SessionContext;
 
 use crate::sql::lengths::extreme::of_intervals;
+use crate::sql::lengths::length::length;
 
-/// What intervals are that a query says.
-pub const WHOLE: DataType = DataType::Interval(IntervalUnit::MonthDayNano);
-
-/// Nanoseconds of a day.
-const DAY: i128 = 86_400_000_000_000;
+pub use length::WHOLE;
 
 /// Has a context compare intervals by their lengths.
 pub fn compare_lengths(context: &SessionContext) {
@@ -176,12 +173,6 @@ fn length_of(interval: Expr) -> Expr {
     });
     let length = Arc::clone(&LENGTH);
     Expr::ScalarFunction(ScalarFunction::new_udf(length, vec![interval]))
-}
-
-/// How long an interval is, ns.
-fn length(interval: IntervalMonthDayNano) -> i128 {
-    let days = 30 * i128::from(interval.months) + i128::from(interval.days);
-    days * DAY + i128::from(interval.nanoseconds)
 }
 
 /// [`length`] of each, as a number that has room for all of them.

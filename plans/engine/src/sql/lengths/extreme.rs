@@ -10,7 +10,7 @@ use datafusion::logical_expr::{
     Accumulator, AggregateUDF, AggregateUDFImpl, Expr, ExprSchemable, Signature, Volatility,
 };
 
-use crate::sql::lengths::{WHOLE, length};
+use crate::sql::lengths::length::{WHOLE, length};
 
 static SHORTEST: LazyLock<Arc<AggregateUDF>> = LazyLock::new(|| function(false));
 static LONGEST: LazyLock<Arc<AggregateUDF>> = LazyLock::new(|| function(true));
