@@ -2,7 +2,7 @@
 //!
 //! Of the columns that USING names an answer has one, with the value of the side that has the row. DataFusion takes the left
 //! one where it is named, which is null for rows of the right table alone; `*` has the one whose table comes first in the
-//! alphabet, which is null in a LEFT JOIN where that is the right one. Here `*` says which columns are meant.
+//! alphabet, in its place, which is null in a LEFT JOIN where that is the right one. Here `*` says which columns are meant.
 
 use std::ops::ControlFlow;
 
@@ -39,7 +39,7 @@ impl VisitorMut for Joined {
         }
         let Some(columns) = all_columns(&select.from) else {
             return ControlFlow::Break(
-                Fault::user("expected the names of columns, found * of a LEFT JOIN with USING or NATURAL whose tables cannot be told apart")
+                Fault::user("expected the names of columns, found * of a JOIN with USING or NATURAL whose tables cannot be told apart")
                     .next("name the columns, or give each table a name (AS) and write USING"),
             );
         };
@@ -48,10 +48,8 @@ impl VisitorMut for Joined {
             match item {
                 SelectItem::Wildcard(options) if has_options(&options) => {
                     return ControlFlow::Break(
-                        Fault::user(format!(
-                            "not supported: *{options} of a LEFT JOIN with USING"
-                        ))
-                        .next("name the columns, or write ON"),
+                        Fault::user(format!("not supported: *{options} of a JOIN with USING"))
+                            .next("name the columns, or write ON"),
                     );
                 }
                 SelectItem::Wildcard(_) => select.projection.extend(columns.iter().cloned()),
@@ -110,10 +108,13 @@ fn in_joins(joins: &mut [Join]) -> ControlFlow<Fault> {
     ControlFlow::Continue(())
 }
 
-/// Whether `*` would have a column of a right table that may be null where the left one is not.
+/// Whether `*` would have a column of a right table in the place of a left one.
 fn is_reordered(from: &[TableWithJoins]) -> bool {
     let has_using = |join: &Join| match &join.join_operator {
-        JoinOperator::Left(constraint) | JoinOperator::LeftOuter(constraint) => matches!(
+        JoinOperator::Join(constraint)
+        | JoinOperator::Inner(constraint)
+        | JoinOperator::Left(constraint)
+        | JoinOperator::LeftOuter(constraint) => matches!(
             constraint,
             JoinConstraint::Using(_) | JoinConstraint::Natural
         ),
@@ -275,6 +276,7 @@ mod tests {
                 "2,20,22 3,30,",
             ),
             ("SELECT * FROM a JOIN z USING (g)", "g,v,w", "2,20,22"),
+            ("SELECT * FROM z JOIN a USING (g)", "g,w,v", "2,22,20"),
             (
                 "SELECT * FROM z LEFT JOIN a USING (g) LEFT JOIN (VALUES (1, 5)) AS b (g, u) USING (g)",
                 "g,w,v,u",
@@ -315,15 +317,15 @@ mod tests {
             ),
             (
                 "SELECT * FROM z NATURAL LEFT JOIN a",
-                "found * of a LEFT JOIN with USING or NATURAL",
+                "found * of a JOIN with USING or NATURAL",
             ),
             (
                 "SELECT * FROM (z LEFT JOIN a USING (g)) JOIN z AS y ON y.g = z.g",
-                "found * of a LEFT JOIN with USING or NATURAL",
+                "found * of a JOIN with USING or NATURAL",
             ),
             (
                 "SELECT * EXCLUDE (v) FROM z LEFT JOIN a USING (g)",
-                "of a LEFT JOIN with USING; name the columns, or write ON",
+                "of a JOIN with USING; name the columns, or write ON",
             ),
         ] {
             let fault = read_only(&context, &format!("{TABLES} {query}")).await;

@@ -57,7 +57,24 @@ fn in_node(node: LogicalPlan) -> Result<Transformed<LogicalPlan>> {
             check_join(&join)?;
             Ok(Transformed::no(LogicalPlan::Join(join)))
         }
+        LogicalPlan::Aggregate(_) | LogicalPlan::Window(_) | LogicalPlan::Sort(_) => {
+            for expr in node.expressions() {
+                check_elsewhere(&expr)?;
+            }
+            Ok(Transformed::no(node))
+        }
         other => Ok(Transformed::no(other)),
+    }
+}
+
+/// Where rows are counted, grouped and ordered DataFusion has no join for a condition.
+fn check_elsewhere(expr: &Expr) -> Result<()> {
+    match asks(expr)? {
+        false => Ok(()),
+        true => Err(refused(
+            "expected IN, EXISTS, ANY and ALL (SELECT …) in WHERE, HAVING or SELECT, found one in an aggregate, a window, GROUP BY or ORDER BY",
+            "compute it in a query within: FROM (SELECT *, x IN (SELECT …) AS found FROM …)",
+        )),
     }
 }
 
@@ -94,8 +111,20 @@ fn in_projection(projection: Projection) -> Result<Transformed<LogicalPlan>> {
         }
         let name = names.save(&expr);
         let expr = valued(plain(expr)?, &schema)?.transform_up(counted)?.data;
+        check_selected(&expr)?;
         Ok(Transformed::yes(name.restore(expr)))
     })
+}
+
+/// What cannot be counted is not selected.
+fn check_selected(expr: &Expr) -> Result<()> {
+    match expr.exists(|part| Ok(matches!(part, Expr::SetComparison(_))))? {
+        false => Ok(()),
+        true => Err(refused(
+            "not supported: a comparison with ANY or ALL (SELECT …) in SELECT",
+            "write it in WHERE, or compare with (SELECT min(…)) or (SELECT max(…))",
+        )),
+    }
 }
 
 /// Joins take the conditions that stand alone.
@@ -317,7 +346,8 @@ fn found(subquery: &Subquery) -> Result<LogicalPlanBuilder> {
 fn total(rows: LogicalPlanBuilder, value: Expr) -> Result<Expr> {
     let rows = rows.aggregate(Vec::<Expr>::new(), [value])?.build()?;
     let column = Column::from(rows.schema().qualified_field(0));
-    let rows = LogicalPlanBuilder::from(rows).project([Expr::Column(column)])?;
+    // A query around it may have a column of the same name.
+    let rows = LogicalPlanBuilder::from(rows).project([Expr::Column(column).alias(FOUND)])?;
     Ok(Expr::ScalarSubquery(of(rows.build()?)))
 }
 

@@ -12,13 +12,13 @@ use arrow::datatypes::{
 };
 use datafusion::common::config::ConfigOptions;
 use datafusion::common::tree_node::{Transformed, TreeNode};
-use datafusion::common::{DFSchema, Result, ScalarValue, exec_err};
+use datafusion::common::{Column, DFSchema, Result, ScalarValue, exec_err};
 use datafusion::logical_expr::expr::{Case, Cast, InList, ScalarFunction, Sort};
 use datafusion::logical_expr::expr_rewriter::NamePreserver;
 use datafusion::logical_expr::utils::merge_schema;
 use datafusion::logical_expr::{
-    ColumnarValue, Distinct, Expr, ExprSchemable, LogicalPlan, ReturnFieldArgs, ScalarFunctionArgs,
-    ScalarUDF, ScalarUDFImpl, Signature, Volatility,
+    ColumnarValue, Distinct, Expr, ExprSchemable, LogicalPlan, Projection, ReturnFieldArgs,
+    ScalarFunctionArgs, ScalarUDF, ScalarUDFImpl, Signature, Volatility, Window,
 };
 use datafusion::optimizer::AnalyzerRule;
 
@@ -74,8 +74,71 @@ fn of_node(plan: LogicalPlan) -> Result<Transformed<LogicalPlan>> {
             );
             Transformed::yes(LogicalPlan::Distinct(Distinct::On(distinct)))
         }
+        LogicalPlan::Window(window) => of_window(window)?,
         data => Transformed::new(data, plan.transformed, plan.tnr),
     })
+}
+
+/// Numbers that windows go by become columns below them: windows of one node have the same keys, and each is rewritten by
+/// itself.
+fn of_window(mut window: Window) -> Result<Transformed<LogicalPlan>> {
+    let schema = Arc::clone(window.input.schema());
+    let mut keys: Vec<Expr> = Vec::new();
+    let names = NamePreserver::new_for_projection();
+    let terms = std::mem::take(&mut window.window_expr).into_iter();
+    let terms = terms.map(|term| {
+        let name = names.save(&term);
+        let term = term.transform_up(|part| Ok(by_columns(part, &schema, &mut keys)))?;
+        Ok(name.restore(term.data))
+    });
+    window.window_expr = terms.collect::<Result<_>>()?;
+    let input = match keys.is_empty() {
+        true => window.input,
+        false => {
+            let columns = schema.iter().map(|field| Expr::Column(Column::from(field)));
+            let keys = keys.into_iter().enumerate();
+            let keys = keys.map(|(at, key)| key.alias(key_name(&schema, at)));
+            let columns = columns.chain(keys).collect();
+            Arc::new(LogicalPlan::Projection(Projection::try_new(
+                columns,
+                window.input,
+            )?))
+        }
+    };
+    // The columns of a window below are among those of this one.
+    let window = Window::try_new(window.window_expr, input)?;
+    Ok(Transformed::yes(LogicalPlan::Window(window)))
+}
+
+/// A name that no column below has: each window has more of them than the one below it.
+fn key_name(schema: &DFSchema, at: usize) -> String {
+    format!("__{COMPARED}_{}", schema.fields().len() + at)
+}
+
+/// A window that goes by columns where it went by numbers, which are added to those that are there.
+fn by_columns(mut term: Expr, schema: &DFSchema, keys: &mut Vec<Expr>) -> Transformed<Expr> {
+    let Expr::WindowFunction(call) = &mut term else {
+        return Transformed::no(term);
+    };
+    let params = &mut call.params;
+    let by = params.partition_by.iter_mut();
+    let by = by.chain(params.order_by.iter_mut().map(|sort| &mut sort.expr));
+    let mut is_changed = false;
+    for key in by {
+        if compared(key, schema) {
+            let at = keys.iter().position(|known| known == key);
+            let at = at.unwrap_or_else(|| {
+                keys.push(key.clone());
+                keys.len() - 1
+            });
+            *key = Expr::Column(Column::new_unqualified(key_name(schema, at)));
+            is_changed = true;
+        }
+    }
+    match is_changed {
+        true => Transformed::yes(term),
+        false => Transformed::no(term),
+    }
 }
 
 /// A term whose own parts are compared.
@@ -107,9 +170,7 @@ fn within(mut term: Expr, schema: &DFSchema) -> Transformed<Expr> {
         }
         Expr::WindowFunction(call) => {
             let params = &mut call.params;
-            let args = params.distinct && all_compared(&mut params.args, schema);
-            let parts = all_compared(&mut params.partition_by, schema);
-            sorted(&mut params.order_by, schema) || parts || args
+            params.distinct && all_compared(&mut params.args, schema)
         }
         _ => false,
     };

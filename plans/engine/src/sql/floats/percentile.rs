@@ -66,9 +66,18 @@ impl Percentile {
         let share = place.fract();
         let upper = above.iter().copied().min_by(compare);
         Some(match upper {
-            Some(upper) if share > 0.0 => lower + (upper - lower) * share,
+            Some(upper) if share > 0.0 && upper != lower => between(lower, upper, share),
             _ => lower,
         })
+    }
+}
+
+/// So far from one number to another.
+fn between(lower: f64, upper: f64, share: f64) -> f64 {
+    let apart = upper - lower;
+    match apart.is_finite() {
+        true => lower + apart * share,
+        false => lower * (1.0 - share) + upper * share,
     }
 }
 

@@ -99,6 +99,9 @@ async fn members_of_subqueries_have_three_values_wherever_they_are_asked() {
     let grouped =
         "SELECT max(id) FROM t GROUP BY x HAVING max(x) NOT IN (SELECT z FROM u) OR max(id) = 3";
     assert_eq!(numbers(grouped, one).await, [2, 3]);
+    let counted =
+        "SELECT count(*) FROM t GROUP BY x HAVING x NOT IN (SELECT z FROM u) OR max(id) = 3";
+    assert_eq!(numbers(counted, one).await, [1, 1]);
 }
 
 #[tokio::test]
@@ -126,6 +129,14 @@ async fn what_cannot_be_counted_is_refused() {
         (
             "SELECT t.id FROM t LEFT JOIN u ON t.id = u.k AND (x IN (SELECT y FROM s) OR id = 1)",
             "expected IN (SELECT …) in WHERE, found it in the condition of a join",
+        ),
+        (
+            "SELECT count(*) FILTER (WHERE x NOT IN (SELECT y FROM s)) FROM t",
+            "in WHERE, HAVING or SELECT, found one in an aggregate",
+        ),
+        (
+            "SELECT x > ALL (SELECT y FROM s) FROM t",
+            "not supported: a comparison with ANY or ALL (SELECT …) in SELECT",
         ),
     ] {
         let fault = read_only(&context, &format!("{TABLES} {query}")).await;
