@@ -26,6 +26,9 @@ use crate::error::external;
 /// around it, where both read one table.
 const FOUND: &str = "__found";
 
+/// What a value of all its rows is called: a query around it may have a `count(*)` of its own.
+const TOTAL: &str = "__total";
+
 /// Steps of a plan at most that a subquery has where it is counted: it is planned three times, and so is one within it.
 const MOST_STEPS: usize = 10_000;
 
@@ -346,8 +349,7 @@ fn found(subquery: &Subquery) -> Result<LogicalPlanBuilder> {
 fn total(rows: LogicalPlanBuilder, value: Expr) -> Result<Expr> {
     let rows = rows.aggregate(Vec::<Expr>::new(), [value])?.build()?;
     let column = Column::from(rows.schema().qualified_field(0));
-    // A query around it may have a column of the same name.
-    let rows = LogicalPlanBuilder::from(rows).project([Expr::Column(column).alias(FOUND)])?;
+    let rows = LogicalPlanBuilder::from(rows).project([Expr::Column(column).alias(TOTAL)])?;
     Ok(Expr::ScalarSubquery(of(rows.build()?)))
 }
 
