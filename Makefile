@@ -40,9 +40,10 @@ sessions/annotations.mcap: | release
 release: packages
 	cargo build --release --locked --package evermap
 
-# The library for Python is built by its own tests, which load it from Python; a program of Rust cannot.
+# The library for Python is built by its own tests, which load it from Python; a program of Rust cannot. Two tests more than
+# there are cores run side by side: many wait for a server, a cluster or a map that another test makes.
 test: test-packages .venv/complete
-	EVERMAP_PYTHON=$(CURDIR)/.venv/bin/python cargo test --workspace --exclude evermap-python --locked --tests
+	RUST_TEST_THREADS=$$(($$(nproc) + 2)) EVERMAP_PYTHON=$(CURDIR)/.venv/bin/python cargo test --workspace --exclude evermap-python --locked --tests
 	cargo test --workspace --exclude evermap-python --locked --doc
 
 # A macro declares the files of operators, so that cargo fmt does not find them.
