@@ -5,7 +5,7 @@
 
 use std::path::{Path, PathBuf};
 
-use evermap_tests::{Finished, evermap, text};
+use evermap_tests::{Finished, evermap, rows_of, text};
 use serde_json::{Value, json};
 use tempfile::TempDir;
 
@@ -260,8 +260,7 @@ write: [features]
     ];
     let ended = evermap(&[&run[..], &["--sessions", text(&log)], more].concat()).expect(code);
     let sql = "SELECT u, v, size_px FROM features";
-    let found = evermap(&["sql", "--map", text(&map), "--format", "json", sql]);
-    (found.expect(0).json(), ended.stderr)
+    (rows_of(&map, sql), ended.stderr)
 }
 
 #[test]

@@ -5,7 +5,7 @@
 
 use std::path::Path;
 
-use evermap_tests::{Finished, evermap, rectangle, text, write_drive, write_nothing};
+use evermap_tests::{Finished, evermap, rectangle, rows_of, text, write_drive, write_nothing};
 
 /// A log with some topics and message types, without messages.
 fn write_topics(path: &Path, topics: &[(&str, &str)]) {
@@ -569,10 +569,7 @@ fn versions_are_compared_in_metres() {
     write_drive(&drive, rectangle(32.0, 20.0, 1.0));
     run("trajectory", &map, &[&drive], &[]).expect(0);
 
-    let ask = |query: &str| {
-        let asked = ["sql", "--map", text(&map), "--format", "json", query];
-        evermap(&asked).expect(0).json()
-    };
+    let ask = |query: &str| rows_of(&map, query);
     // The far side of the lap is two metres farther.
     let lanes = ask("SELECT site, lane, change, moved_m, moved_rad FROM diff('lanes', 1, 2)");
     assert_eq!(lanes.as_array().unwrap().len(), 1, "{lanes}");
@@ -713,10 +710,7 @@ write: [places, points, named, words]
         write_drive(&drive, rectangle(length_m, 20.0, 1.0));
         run(text(&plan), &map, &[&drive], &[]).expect(0);
     }
-    let ask = |query: &str| {
-        let asked = ["sql", "--map", text(&map), "--format", "json", query];
-        evermap(&asked).expect(0).json()
-    };
+    let ask = |query: &str| rows_of(&map, query);
     for layer in ["places", "points", "named"] {
         let rows = ask(&format!(
             "SELECT count(*) FILTER (WHERE change <> 'added') AS before,
@@ -818,10 +812,7 @@ fn every_column_of_a_map_is_explained() {
     write_drive(&drive, rectangle(30.0, 20.0, 1.0));
     let map = folder.path().join("map");
     run("trajectory", &map, &[&drive], &[]).expect(0);
-    let sql = |query: &str| {
-        let asked = evermap(&["sql", "--map", text(&map), "--format", "json", query]);
-        asked.expect(0).json().as_array().unwrap().clone()
-    };
+    let sql = |query: &str| rows_of(&map, query).as_array().unwrap().clone();
     let lanes = sql(
         "SELECT \"column\", kind, unit, frame, meaning FROM columns WHERE layer = 'lanes' AND \"column\" = 'length_m'",
     );

@@ -15,8 +15,8 @@ use datafusion::prelude::SessionContext;
 use evermap_engine::map::Map;
 use evermap_engine::sql::{Limits, context, read_only};
 use evermap_tests::{
-    BESIDE_MIB, Finished, command, evermap, plan_command, rectangle, repository, text, watched,
-    write_drive,
+    BESIDE_MIB, Finished, command, evermap, plan_command, rectangle, repository, rows_of, text,
+    watched, write_drive,
 };
 use parquet::arrow::arrow_reader::ParquetRecordBatchReaderBuilder;
 use sqllogictest::{AsyncDB, DBOutput, DefaultColumnType, Runner};
@@ -286,15 +286,10 @@ fn layers_of_queries_have_the_units_and_frames_of_what_they_pass_on() {
     assert!(!passed.metadata().contains_key("geo"));
 
     // Whoever reads the map is told the same.
-    let told = evermap(&[
-        "sql",
-        "--map",
-        text(&map),
-        "--format",
-        "json",
+    let told = rows_of(
+        &map,
         "SELECT \"column\", unit, frame FROM columns WHERE layer = 'passed' AND (unit <> '' OR frame <> '') ORDER BY 1",
-    ]);
-    let told = told.expect(0).json();
+    );
     let line = |line: &serde_json::Value| {
         ["column", "unit", "frame"].map(|key| line[key].as_str().unwrap().to_owned())
     };

@@ -10,7 +10,9 @@
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-use evermap_tests::{Finished, evermap, plan_command, repository, shared, text};
+use evermap_tests::{
+    Finished, evermap, plan_command, repository, rows_of, rows_of_log, shared, text,
+};
 use serde_json::Value;
 
 /// Every file below a folder, sorted.
@@ -112,9 +114,7 @@ fn compare(file: &str, topics: &[&str]) {
             return;
         };
         let query = format!("SELECT * FROM \"{topic}\" ORDER BY log_time, sequence");
-        let ours = evermap(&["sql", "--sessions", text(&file), "--format", "json", &query])
-            .expect(0)
-            .json();
+        let ours = rows_of_log(&file, &query);
         let ours = ours.as_array().unwrap();
         assert_eq!(ours.len(), theirs.len(), "{topic}");
         assert!(!ours.is_empty(), "{topic} is empty");
@@ -138,9 +138,7 @@ fn soccer_values_equal_the_official_readers() {
         return;
     };
     let query = "SELECT DISTINCT topic FROM messages";
-    let topics = evermap(&["sql", "--sessions", text(&file), "--format", "json", query])
-        .expect(0)
-        .json();
+    let topics = rows_of_log(&file, query);
     let topics: Vec<&str> = topics
         .as_array()
         .unwrap()
@@ -274,14 +272,9 @@ fn turtlebot_gives_its_road_network() {
     ])
     .expect(0);
     let query = "SELECT count(*) AS lanes, sum(length_m) AS length_m FROM lanes";
-    let lanes = evermap(&["sql", "--map", text(&map), "--format", "json", query])
-        .expect(0)
-        .json();
+    let lanes = rows_of(&map, query);
     assert!(lanes[0]["lanes"].as_u64().unwrap() >= 1, "{lanes}");
-    let driven = "SELECT count(*) AS n FROM poses";
-    let poses = evermap(&["sql", "--map", text(&map), "--format", "json", driven])
-        .expect(0)
-        .json();
+    let poses = rows_of(&map, "SELECT count(*) AS n FROM poses");
     let path_m = poses[0]["n"].as_f64().unwrap() * 0.2;
     let length_m = lanes[0]["length_m"].as_f64().unwrap();
     assert!(
@@ -344,9 +337,7 @@ fn four_real_fisheyes_become_a_view_from_above() {
     ])
     .expect(0);
     let query = "SELECT sum(covered) AS cells FROM overhead_tiles WHERE zoom = 0";
-    let seen = evermap(&["sql", "--map", text(&map), "--format", "json", query])
-        .expect(0)
-        .json();
+    let seen = rows_of(&map, query);
     let seen_m2 = seen[0]["cells"].as_f64().unwrap() * 0.05 * 0.05;
     // Four half discs of 8 m, overlapping.
     assert!(
@@ -383,11 +374,7 @@ fn kitti_drives_give_lanes_on_the_driven_path() {
         .expect(0);
         let points = "SELECT unnest(points) AS point FROM lanes";
         let driven = "SELECT map_from_vehicle['x'] AS x, map_from_vehicle['y'] AS y FROM poses";
-        let rows = |sql: &str| {
-            evermap(&["sql", "--map", text(&map), "--format", "json", sql])
-                .expect(0)
-                .json()
-        };
+        let rows = |sql: &str| rows_of(&map, sql);
         let driven: Vec<[f64; 2]> = rows(driven)
             .as_array()
             .unwrap()

@@ -4,7 +4,7 @@
 
 use std::path::{Path, PathBuf};
 
-use evermap_tests::{Finished, command, evermap, program, rectangle, text, write_drive};
+use evermap_tests::{Finished, command, evermap, program, rectangle, rows_of, text, write_drive};
 use serde_json::{Value, json};
 use tempfile::TempDir;
 
@@ -54,9 +54,7 @@ impl Mapped {
     }
 
     fn query(&self, sql: &str) -> Value {
-        self.evermap("sql", &["--format", "json", sql])
-            .expect(0)
-            .json()
+        rows_of(&self.map, sql)
     }
 
     /// The artifacts of a layer of version 2.

@@ -10,7 +10,7 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, Barrier, Mutex};
 use std::time::Duration;
 
-use evermap_tests::{Finished, command, evermap, rectangle, text, write_drive};
+use evermap_tests::{Finished, command, layers_of, rectangle, text, write_drive};
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use serde_json::{Value, json};
@@ -67,8 +67,7 @@ fn local_layers(folder: &Path, sessions: &[PathBuf]) -> Value {
     ]);
     run.arg("--sessions").args(sessions);
     ended(run).expect(0);
-    let layers = evermap(&["layers", "--map", text(&map), "--format", "json"]);
-    layers.expect(0).json()
+    layers_of(&map)
 }
 
 #[test]

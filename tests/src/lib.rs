@@ -20,6 +20,7 @@ use std::process::{Command, Output, Stdio};
 use std::time::{Duration, SystemTime};
 
 pub use evermap_test_data::shared;
+use serde_json::Value;
 
 /// The repository.
 pub fn repository() -> &'static Path {
@@ -78,7 +79,7 @@ impl Finished {
     ///
     /// # Panics
     /// Where it is none.
-    pub fn json(&self) -> serde_json::Value {
+    pub fn json(&self) -> Value {
         serde_json::from_str(&self.stdout)
             .unwrap_or_else(|error| panic!("{error}: {}", self.stdout))
     }
@@ -132,6 +133,36 @@ pub fn plan_command(plan: &str, map: &Path, site: &str, more: &[&str]) -> Comman
     let mut run = command(&["run", plan, "--map", map, "--progress", "none", "--site"]);
     run.arg(site).args(more);
     run
+}
+
+/// The rows that a query of a map has, as JSON.
+///
+/// # Panics
+/// Where the query fails.
+pub fn rows_of(map: &Path, query: &str) -> Value {
+    answered(["--map", text(map)], query)
+}
+
+/// The rows that a query of a log has, as JSON.
+///
+/// # Panics
+/// Where the query fails.
+pub fn rows_of_log(log: &Path, query: &str) -> Value {
+    answered(["--sessions", text(log)], query)
+}
+
+fn answered([option, path]: [&str; 2], query: &str) -> Value {
+    let asked = ["sql", option, path, "--format", "json", query];
+    evermap(&asked).expect(0).json()
+}
+
+/// The layers of a map, as `evermap layers` lists them.
+///
+/// # Panics
+/// Where they cannot be listed.
+pub fn layers_of(map: &Path) -> Value {
+    let listed = evermap(&["layers", "--map", text(map), "--format", "json"]);
+    listed.expect(0).json()
 }
 
 /// Simulates a world, with these settings.

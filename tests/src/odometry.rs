@@ -8,7 +8,7 @@ use evermap_algorithms::geometry::trajectory::StampedPose;
 use serde_json::{Value, json};
 
 use crate::trajectories::pose;
-use crate::{POSE_SCHEMA, evermap, text};
+use crate::{POSE_SCHEMA, rows_of_log};
 
 /// How a log tells where the vehicle is.
 #[derive(Debug, Clone, Copy)]
@@ -25,9 +25,7 @@ pub enum Told {
 /// Where it cannot be read.
 pub fn odometry(log: &Path) -> Vec<StampedPose> {
     let sql = "SELECT CAST(stamp AS BIGINT) AS stamp_ns, odom_from_vehicle AS pose FROM odometry ORDER BY stamp";
-    let rows = evermap(&["sql", "--sessions", text(log), "--format", "json", sql])
-        .expect(0)
-        .json();
+    let rows = rows_of_log(log, sql);
     let rows = rows.as_array().expect("rows are a list");
     let row = |row: &Value| StampedPose {
         stamp_ns: row["stamp_ns"].as_i64().expect("a stamp is a number"),
