@@ -5,7 +5,7 @@
 
 use std::path::{Path, PathBuf};
 
-use evermap_tests::{Finished, evermap, rows_of, text};
+use evermap_tests::{Finished, evermap, rows_of, run, text};
 use serde_json::{Value, json};
 use tempfile::TempDir;
 
@@ -250,15 +250,7 @@ write: [features]
         &[("/front/image", IMAGE, vec![image])],
     );
     let map = logs.path(name);
-    let run = [
-        "run",
-        text(&plan),
-        "--map",
-        text(&map),
-        "--progress",
-        "none",
-    ];
-    let ended = evermap(&[&run[..], &["--sessions", text(&log)], more].concat()).expect(code);
+    let ended = run(text(&plan), &map, &[&log], more).expect(code);
     let sql = "SELECT u, v, size_px FROM features";
     (rows_of(&map, sql), ended.stderr)
 }

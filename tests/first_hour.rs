@@ -5,7 +5,7 @@
 
 use std::path::Path;
 
-use evermap_tests::{Finished, evermap, rectangle, rows_of, text, write_drive, write_nothing};
+use evermap_tests::{evermap, rectangle, rows_of, run, text, write_drive, write_nothing};
 
 /// A log with some topics and message types, without messages.
 fn write_topics(path: &Path, topics: &[(&str, &str)]) {
@@ -39,21 +39,6 @@ const LABELS: (&str, &str) = ("/front/labels", "sensor_msgs/Image");
 const DEPTH: (&str, &str) = ("/front/depth", "sensor_msgs/Image");
 const CALIBRATION: (&str, &str) = ("/front/camera_info", "sensor_msgs/CameraInfo");
 const FIXES: (&str, &str) = ("/fix", "sensor_msgs/NavSatFix");
-
-fn run(plan: &str, map: &Path, sessions: &[&Path], more: &[&str]) -> Finished {
-    let mut arguments = vec![
-        "run",
-        plan,
-        "--map",
-        text(map),
-        "--progress",
-        "none",
-        "--sessions",
-    ];
-    arguments.extend(sessions.iter().map(|path| text(path)));
-    arguments.extend(more);
-    evermap(&arguments)
-}
 
 #[test]
 fn a_log_of_which_a_plan_makes_nothing_is_refused_alone_and_counted_among_others() {

@@ -29,18 +29,8 @@ fn digests(map: &Path) -> Vec<(String, String)> {
     layers.as_array().unwrap().iter().map(digest).collect()
 }
 
-fn run(map: &Path, sessions: &[&Path]) -> evermap_tests::Finished {
-    let mut arguments = vec![
-        "run",
-        PLAN,
-        "--map",
-        text(map),
-        "--progress",
-        "none",
-        "--sessions",
-    ];
-    arguments.extend(sessions.iter().map(|path| text(path)));
-    evermap(&arguments)
+fn run(map: &Path, sessions: &[&Path]) -> Finished {
+    evermap_tests::run(PLAN, map, sessions, &[])
 }
 
 #[test]
@@ -611,18 +601,7 @@ fn a_plan_reads_the_version_before() {
         "write: [keyframes, growth]",
     ];
     std::fs::write(&plan, lines.join("\n")).unwrap();
-    let run = |session: &Path| {
-        evermap(&[
-            "run",
-            text(&plan),
-            "--map",
-            text(&map),
-            "--progress",
-            "none",
-            "--sessions",
-            text(session),
-        ])
-    };
+    let run = |session: &Path| evermap_tests::run(text(&plan), &map, &[session], &[]);
     run(&a).expect(0);
     let first = rows_of(&map, "SELECT now, before FROM growth");
     assert_eq!(first[0]["before"], 0);

@@ -22,7 +22,7 @@ use evermap_algorithms::semantic_map::stable::occlusion::{Model, Occlusion};
 use evermap_tests::park::made_once;
 use evermap_tests::trajectories::{rows, truth};
 use evermap_tests::turned::turned;
-use evermap_tests::{Finished, plan_command, rows_of_log, shared, simulate, text};
+use evermap_tests::{rows_of_log, run_of_site, shared, simulate, text};
 use nalgebra::{UnitQuaternion, Vector3};
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -72,9 +72,8 @@ fn run(
         let manifest = folder.join(format!("{visit}.yaml"));
         std::fs::write(&manifest, yaml).unwrap();
         let arguments = [&["--manifest", text(&manifest)], more].concat();
-        let run = plan_command(plan, &map, "street", &arguments).output();
-        let ended = Finished::from(run.unwrap());
-        ended.expect(if visit == VISITS[0] { 0 } else { code });
+        let code = if visit == VISITS[0] { 0 } else { code };
+        run_of_site(plan, &map, "street", &arguments).expect(code);
     }
     map
 }

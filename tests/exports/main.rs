@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 
 use evermap_tests::recording::is_read_as_the_map_says;
 use evermap_tests::server::{Server, map, script};
-use evermap_tests::{Finished, evermap, page, plan_command, rows_of, rows_of_log, simulate, text};
+use evermap_tests::{Finished, evermap, page, rows_of, rows_of_log, run_of_site, simulate, text};
 
 /// Danger and speeds where the vehicle was, as cells of 2 m.
 const CELLS: &str = r#"
@@ -33,8 +33,7 @@ fn a_recording_has_what_the_map_says() {
     let plan = folder.path().join("cells.yaml");
     std::fs::write(&plan, CELLS).unwrap();
     let monday = folder.path().join("monday.mcap");
-    let run = plan_command(text(&plan), &map, "lot", &["--sessions", text(&monday)]).output();
-    Finished::from(run.unwrap()).expect(0);
+    run_of_site(text(&plan), &map, "lot", &["--sessions", text(&monday)]).expect(0);
     let cells =
         "SELECT count(*) AS n FROM danger_map d JOIN speed_map s USING (\"column\", \"row\")";
     let cells = rows_of(&map, cells);
@@ -135,8 +134,7 @@ fn pictures_are_recorded(folder: &Path, session: &Path) {
     let plan = folder.join("pictures.yaml");
     std::fs::write(&plan, PICTURES).unwrap();
     let map = folder.join("pictures");
-    let run = plan_command(text(&plan), &map, "lot", &["--sessions", text(session)]).output();
-    Finished::from(run.unwrap()).expect(0);
+    run_of_site(text(&plan), &map, "lot", &["--sessions", text(session)]).expect(0);
     is_read_as_the_map_says(&map, folder);
     let recording = folder.join("recording.mcap");
     let images = "SELECT count(*) AS n FROM frames";
@@ -163,8 +161,7 @@ fn the_frame_of_poses_is_where_they_are(folder: &Path, session: &Path) {
     let plan = folder.join("of_a_frame.yaml");
     std::fs::write(&plan, OF_A_FRAME.replace("FRAME", name("child"))).unwrap();
     let map = folder.join("of_a_frame");
-    let run = plan_command(text(&plan), &map, "lot", &["--sessions", text(session)]).output();
-    Finished::from(run.unwrap()).expect(0);
+    run_of_site(text(&plan), &map, "lot", &["--sessions", text(session)]).expect(0);
     let out = folder.join("of_a_frame.mcap");
     exported(&map, &out, &["--format", "mcap"]);
     let at = |pose: &str, rest: &str| {
@@ -213,8 +210,7 @@ fn on_earth(folder: &Path) -> PathBuf {
     pictures_are_recorded(folder, &session);
     the_frame_of_poses_is_where_they_are(folder, &session);
     let more = ["--sessions", text(&session)];
-    let run = plan_command("georeference", &roads, "lot", &more).output();
-    Finished::from(run.expect("evermap starts")).expect(0);
+    run_of_site("georeference", &roads, "lot", &more).expect(0);
     roads
 }
 

@@ -11,7 +11,7 @@ use std::sync::OnceLock;
 use evermap_tests::asked::AskedStreet;
 use evermap_tests::park::{copy, made_once};
 use evermap_tests::server::{self, Server, bounded, drive, script};
-use evermap_tests::{Finished, command, evermap, plan_command, rows_of, simulate, text};
+use evermap_tests::{Finished, command, evermap, rows_of, run_of_site, simulate, text};
 use evermap_vision::{Grey, decode_labels};
 use serde_json::{Value, json};
 
@@ -601,8 +601,7 @@ fn people_teach_by_http_and_everything_else_is_refused() {
     let plan = folder.path().join("taught.yaml");
     let taught = "plan: taught\nextends: trajectory\nsteps:\n  said: { sql: SELECT * FROM annotations }\nwrite: [said]\n";
     std::fs::write(&plan, taught).unwrap();
-    let run = plan_command(text(&plan), &map, "lot", &sessions).output();
-    Finished::from(run.unwrap()).expect(3);
+    run_of_site(text(&plan), &map, "lot", &sessions).expect(3);
     // What cannot be read among them is told, as the end of a command tells it.
     let junk = log("junk.mcap");
     std::fs::write(&junk, "no log at all").unwrap();
@@ -699,7 +698,7 @@ fn people_paint_on_images_and_the_next_run_has_learnt_from_it() {
     let log = street.join("visit_a/visit_a.mcap");
     let plan = folder.path().join("unlabelled.yaml");
     std::fs::write(&plan, UNLABELLED).unwrap();
-    let run = |sessions: &[&str]| -> Finished {
+    let run = |sessions: &[&str]| {
         let mut more = sessions.to_vec();
         for setting in [
             "samples.samples=400",
@@ -709,8 +708,7 @@ fn people_paint_on_images_and_the_next_run_has_learnt_from_it() {
         ] {
             more.extend(["--set", setting]);
         }
-        let run = plan_command(text(&plan), &map, "street", &more).output();
-        run.unwrap().into()
+        run_of_site(text(&plan), &map, "street", &more)
     };
     let first = run(&["--sessions", text(&log)]).expect(3);
     assert!(
@@ -849,8 +847,7 @@ fn people_who_were_missed_are_drawn_on_images_and_the_next_run_learns_from_it() 
     let mut sessions = vec!["--sessions"];
     sessions.extend(logs.iter().map(|log| text(log)));
     // The server was killed: its logs have no end.
-    let run = plan_command(text(&plan), &map, "street", &sessions).output();
-    Finished::from(run.unwrap()).expect(3);
+    run_of_site(text(&plan), &map, "street", &sessions).expect(3);
 
     let pictures = "(SELECT *, row_number() OVER (ORDER BY stamp) AS nth FROM pictures)";
     let said = format!(

@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use crate::{Finished, plan_command, simulate, text};
+use crate::{Finished, run_of_site, simulate, text};
 
 /// A question in each image, about who would stand at one place ahead of the vehicle; and what answers become: labels that are
 /// tied to their images.
@@ -80,7 +80,6 @@ impl AskedStreet {
     /// When the program does not start.
     pub fn run(&self, arguments: &[&str]) -> Finished {
         let (plan, map) = (self.path("asked.yaml"), self.map());
-        let run = plan_command(text(&plan), &map, "street", arguments).output();
-        run.expect("evermap starts").into()
+        run_of_site(text(&plan), &map, "street", arguments)
     }
 }

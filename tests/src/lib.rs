@@ -127,12 +127,35 @@ pub fn evermap(arguments: &[&str]) -> Finished {
     command(arguments).output().expect("evermap starts").into()
 }
 
+/// `evermap run` of a plan, not yet started.
+fn run_command(plan: &str, map: &Path) -> Command {
+    command(&["run", plan, "--map", text(map), "--progress", "none"])
+}
+
 /// `evermap run` of a plan on sessions of one site, not yet started.
 pub fn plan_command(plan: &str, map: &Path, site: &str, more: &[&str]) -> Command {
-    let map = text(map);
-    let mut run = command(&["run", plan, "--map", map, "--progress", "none", "--site"]);
-    run.arg(site).args(more);
+    let mut run = run_command(plan, map);
+    run.args(["--site", site]).args(more);
     run
+}
+
+/// Runs a plan on sessions of one site to its end.
+///
+/// # Panics
+/// When the program does not start.
+pub fn run_of_site(plan: &str, map: &Path, site: &str, more: &[&str]) -> Finished {
+    let run = plan_command(plan, map, site, more).output();
+    run.expect("evermap starts").into()
+}
+
+/// Runs a plan on sessions, each a site of its own, to its end.
+///
+/// # Panics
+/// When the program does not start.
+pub fn run(plan: &str, map: &Path, sessions: &[&Path], more: &[&str]) -> Finished {
+    let mut run = run_command(plan, map);
+    run.arg("--sessions").args(sessions).args(more);
+    run.output().expect("evermap starts").into()
 }
 
 /// The rows that a query of a map has, as JSON.
