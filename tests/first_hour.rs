@@ -5,7 +5,9 @@
 
 use std::path::Path;
 
+use evermap_tests::json_log::JsonLog;
 use evermap_tests::{evermap, rectangle, rows_of, run, text, write_drive, write_nothing};
+use serde_json::json;
 
 /// A log with some topics and message types, without messages.
 fn write_topics(path: &Path, topics: &[(&str, &str)]) {
@@ -14,24 +16,14 @@ fn write_topics(path: &Path, topics: &[(&str, &str)]) {
 
 /// A log with some topics and message types, with so many messages each that say nothing.
 fn write_log(path: &Path, topics: &[(&str, &str)], messages: u32) {
-    let mut writer = mcap::Writer::new(std::fs::File::create(path).unwrap()).unwrap();
+    let mut log = JsonLog::new(path);
     for (topic, schema) in topics {
-        let fields = br#"{"type":"object","properties":{"header":{"type":"object"}}}"#;
-        let schema = writer.add_schema(schema, "jsonschema", fields).unwrap();
-        let channel_id = writer
-            .add_channel(schema, topic, "json", &Default::default())
-            .unwrap();
+        let topic = log.topic_of(topic, schema, &json!({"header": {"type": "object"}}));
         for sequence in 0..messages {
-            let header = mcap::records::MessageHeader {
-                channel_id,
-                sequence,
-                log_time: 1,
-                publish_time: 1,
-            };
-            writer.write_to_known_channel(&header, b"{}").unwrap();
+            log.send(topic, sequence, 1, &json!({}));
         }
     }
-    writer.finish().unwrap();
+    log.finish();
 }
 
 const PICTURES: (&str, &str) = ("/front/image", "sensor_msgs/Image");
@@ -722,7 +714,7 @@ write: [places, points, named, words]
         assert_eq!(rows[0]["moved_m"], 0.0, "{layer}: {rows}");
     }
     let words = ask("SELECT DISTINCT geometry FROM diff('words', 1, 2)");
-    assert_eq!(words, serde_json::json!([{ "geometry": "a word" }]));
+    assert_eq!(words, json!([{ "geometry": "a word" }]));
     let all = ["diff", "--map", text(&map), "1", "2", "--format", "json"];
     let all = evermap(&all).expect(0).json();
     assert_eq!(all.as_array().unwrap().len(), 7, "{all}");

@@ -5,29 +5,17 @@
 use std::path::Path;
 
 use evermap_datasets::log::record::{MAGIC, split};
+use evermap_tests::json_log::JsonLog;
 use evermap_tests::{Finished, command, evermap, text, write_nothing};
 use serde_json::{Value, json};
 
-/// The header of a message that was recorded when it was sent.
-fn header(channel_id: u16, sequence: u32, time: u64) -> mcap::records::MessageHeader {
-    mcap::records::MessageHeader {
-        channel_id,
-        sequence,
-        log_time: time,
-        publish_time: time,
-    }
-}
+/// Nanoseconds at which all logs here begin.
+const START: u64 = 1_700_000_000_000_000_000;
 
 /// Writes a log of ten seconds: odometry at 10 Hz with nothing between 4 and 6 s, two mounted cameras of which the
 /// rear one records nothing, one image a second, a topic that nobody reads.
 fn write(path: &Path) {
-    let mut log = mcap::Writer::new(std::fs::File::create(path).unwrap()).unwrap();
-    let topic = |log: &mut mcap::Writer<_>, topic: &str, schema: &str, members: Value| {
-        let schema_text = json!({ "type": "object", "properties": members }).to_string();
-        let schema = log.add_schema(schema, "jsonschema", schema_text.as_bytes());
-        log.add_channel(schema.unwrap(), topic, "json", &Default::default())
-            .unwrap()
-    };
+    let mut log = JsonLog::new(path);
     let (number, string) = (json!({"type": "number"}), json!({"type": "string"}));
     let object = |names: &[&str]| {
         let members = names
@@ -38,46 +26,24 @@ fn write(path: &Path) {
     let stamp = json!({"type": "object", "properties": {"sec": {"type": "integer"}, "nsec": {"type": "integer"}}});
     let (xyz, xyzw) = (object(&["x", "y", "z"]), object(&["x", "y", "z", "w"]));
     let pose = json!({"type": "object", "properties": {"position": xyz, "orientation": xyzw}});
-    let odometry = topic(
-        &mut log,
-        "/odom",
-        "foxglove.PoseInFrame",
-        json!({"timestamp": stamp, "frame_id": string, "pose": pose}),
-    );
+    let odometry = json!({"timestamp": stamp, "frame_id": string, "pose": pose});
+    let odometry = log.topic_of("/odom", "foxglove.PoseInFrame", &odometry);
     let transform = json!({
         "timestamp": stamp, "parent_frame_id": string, "child_frame_id": string, "translation": xyz, "rotation": xyzw,
     });
-    let fixed = topic(
-        &mut log,
-        "/tf_static",
-        "foxglove.FrameTransform",
-        transform.clone(),
-    );
-    let moving = topic(&mut log, "/tf", "foxglove.FrameTransform", transform);
-    let images = topic(
-        &mut log,
-        "/front/image",
-        "foxglove.CompressedImage",
-        json!({
-            "timestamp": stamp, "frame_id": string, "format": string,
-            "data": {"type": "string", "contentEncoding": "base64"},
-        }),
-    );
-    let battery = topic(
-        &mut log,
-        "/battery",
-        "our.Battery",
-        json!({"volts": number}),
-    );
+    let fixed = log.topic_of("/tf_static", "foxglove.FrameTransform", &transform);
+    let moving = log.topic_of("/tf", "foxglove.FrameTransform", &transform);
+    let images = json!({
+        "timestamp": stamp, "frame_id": string, "format": string,
+        "data": {"type": "string", "contentEncoding": "base64"},
+    });
+    let images = log.topic_of("/front/image", "foxglove.CompressedImage", &images);
+    let battery = log.topic_of("/battery", "our.Battery", &json!({"volts": number}));
 
-    let start = 1_700_000_000_000_000_000_u64;
-    let send = |log: &mut mcap::Writer<_>, channel_id: u16, tenth: u64, message: Value| {
-        let time = start + tenth * 100_000_000;
-        let header = header(channel_id, 0, time);
-        let mut message = message;
+    let send = |log: &mut JsonLog, topic: u16, tenth: u64, mut message: Value| {
+        let time = START + tenth * 100_000_000;
         message["timestamp"] = json!({"sec": time / 1_000_000_000, "nsec": time % 1_000_000_000});
-        log.write_to_known_channel(&header, message.to_string().as_bytes())
-            .unwrap();
+        log.send(topic, 0, time, &message);
     };
     let nowhere = json!({"x": 0.0, "y": 0.0, "z": 0.0});
     let ahead = json!({"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0});
@@ -107,7 +73,7 @@ fn write(path: &Path) {
             send(&mut log, images, tenth, image);
         }
     }
-    log.finish().unwrap();
+    log.finish();
 }
 
 fn run_in(folder: &Path, arguments: &[&str]) -> Finished {
@@ -390,11 +356,8 @@ fn a_flipped_bit_outside_chunks_is_told() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("log.mcap");
     let options = mcap::WriteOptions::new().use_chunks(false);
-    let file = std::fs::File::create(&path).unwrap();
-    let mut log = options.create(file).unwrap();
-    let schema = log.add_schema("S", "jsonschema", b"{\"type\": \"object\"}");
-    let channel = log.add_channel(schema.unwrap(), "/a", "json", &Default::default());
-    let header = header(channel.unwrap(), 0, 1);
+    let mut log = JsonLog::with(&path, options);
+    let topic = log.topic("/a", "S", b"{\"type\": \"object\"}");
     let attachment = mcap::Attachment {
         log_time: 1,
         create_time: 1,
@@ -402,14 +365,17 @@ fn a_flipped_bit_outside_chunks_is_told() {
         media_type: "text/plain".to_owned(),
         data: vec![b'n'; 3 << 20].into(),
     };
-    log.attach(&attachment).unwrap();
-    let payload = b"{\"volts\": 12.25}";
-    log.write_to_known_channel(&header, payload).unwrap();
-    log.finish().unwrap();
+    log.0.attach(&attachment).unwrap();
+    let message = json!({"volts": 12.25});
+    log.send(topic, 0, 1, &message);
+    log.finish();
     let told = evermap(&["inspect", text(&path)]);
     assert_eq!(told.code, 0, "{}", told.stderr);
     let mut bytes = std::fs::read(&path).unwrap();
-    let at = bytes.windows(payload.len()).position(|w| w == payload);
+    let payload = message.to_string();
+    let at = bytes
+        .windows(payload.len())
+        .position(|w| w == payload.as_bytes());
     bytes[at.unwrap() + 10] ^= 1;
     std::fs::write(&path, &bytes).unwrap();
     let told = evermap(&["inspect", text(&path)]);
@@ -429,16 +395,13 @@ fn messages_that_went_with_a_chunk_are_told_by_inspect_and_queries() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("log.mcap");
     let options = mcap::WriteOptions::new().chunk_size(Some(200));
-    let mut log = options
-        .create(std::fs::File::create(&path).unwrap())
-        .unwrap();
-    let channel = log.add_channel(0, "/a", "json", &Default::default());
-    let channel_id = channel.unwrap();
+    let mut log = JsonLog::with(&path, options);
+    let topic = log.0.add_channel(0, "/a", "json", &Default::default());
+    let topic = topic.unwrap();
     for sequence in 0..40 {
-        let header = header(channel_id, sequence, sequence.into());
-        log.write_to_known_channel(&header, b"{}").unwrap();
+        log.send(topic, sequence, sequence.into(), &json!({}));
     }
-    log.finish().unwrap();
+    log.finish();
     let query = "SELECT count(*) AS n FROM messages";
     let asked = ["sql", "--format", "json", "--sessions", text(&path), query];
     let told = evermap(&["inspect", text(&path)]);
@@ -522,8 +485,7 @@ fn damaged_metadata_is_told_by_inspect_and_queries() {
 fn a_run_tells_of_a_flipped_bit_outside_chunks_and_remembers_it() {
     let folder = tempfile::tempdir().unwrap();
     let options = mcap::WriteOptions::new().use_chunks(false);
-    let file = std::fs::File::create(folder.path().join("drive.mcap")).unwrap();
-    let mut log = options.create(file).unwrap();
+    let mut log = JsonLog::with(&folder.path().join("drive.mcap"), options);
     let numbers = |names: &[&str]| {
         let member = |name: &&str| ((*name).to_owned(), json!({"type": "number"}));
         let members: serde_json::Map<_, _> = names.iter().map(member).collect();
@@ -532,12 +494,8 @@ fn a_run_tells_of_a_flipped_bit_outside_chunks_and_remembers_it() {
     let pose = json!({"type": "object", "properties": {
         "position": numbers(&["x", "y", "z"]), "orientation": numbers(&["x", "y", "z", "w"]),
     }});
-    let schema =
-        json!({"type": "object", "properties": {"frame_id": {"type": "string"}, "pose": pose}});
-    let schema = schema.to_string();
-    let schema = log.add_schema("foxglove.PoseInFrame", "jsonschema", schema.as_bytes());
-    let channel = log.add_channel(schema.unwrap(), "/odom", "json", &Default::default());
-    let channel_id = channel.unwrap();
+    let members = json!({"frame_id": {"type": "string"}, "pose": pose});
+    let odometry = log.topic_of("/odom", "foxglove.PoseInFrame", &members);
     let attachment = mcap::Attachment {
         log_time: 1,
         create_time: 1,
@@ -545,18 +503,16 @@ fn a_run_tells_of_a_flipped_bit_outside_chunks_and_remembers_it() {
         media_type: "text/plain".to_owned(),
         data: vec![b'n'; 1000].into(),
     };
-    log.attach(&attachment).unwrap();
+    log.0.attach(&attachment).unwrap();
     for tenth in 0..20_u32 {
         let message = json!({"frame_id": "odom", "pose": {
             "position": {"x": f64::from(tenth) + 0.125, "y": 0.0, "z": 0.0},
             "orientation": {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0},
         }});
-        let time = 1_700_000_000_000_000_000 + u64::from(tenth) * 100_000_000;
-        let header = header(channel_id, tenth, time);
-        log.write_to_known_channel(&header, message.to_string().as_bytes())
-            .unwrap();
+        let time = START + u64::from(tenth) * 100_000_000;
+        log.send(odometry, tenth, time, &message);
     }
-    log.finish().unwrap();
+    log.finish();
     let run = |log: &str, map: &str| {
         let run = [
             "run",
@@ -591,12 +547,10 @@ fn messages_that_no_checksum_covers_are_told() {
         let path = folder.path().join(format!("{summed}.mcap"));
         let options = mcap::WriteOptions::new().use_chunks(false);
         let options = options.calculate_data_section_crc(summed);
-        let file = std::fs::File::create(&path).unwrap();
-        let mut log = options.create(file).unwrap();
-        let channel = log.add_channel(0, "/a", "json", &Default::default());
-        let header = header(channel.unwrap(), 0, 1);
-        log.write_to_known_channel(&header, b"{}").unwrap();
-        log.finish().unwrap();
+        let mut log = JsonLog::with(&path, options);
+        let topic = log.0.add_channel(0, "/a", "json", &Default::default());
+        log.send(topic.unwrap(), 0, 1, &json!({}));
+        log.finish();
         evermap(&["inspect", text(&path)]).expect(0).stdout
     };
     let note = "note         1 message outside of chunks with no checksum to hold to";
@@ -609,18 +563,16 @@ fn messages_that_no_checksum_covers_are_told() {
 fn names_that_break_a_line_are_escaped() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("log.mcap");
-    let mut log = mcap::Writer::new(std::fs::File::create(&path).unwrap()).unwrap();
-    let schema = log.add_schema("S\n", "jsonschema", b"{\"type\": \"object\"}");
+    let mut log = JsonLog::new(&path);
     let topic = "/a\nloss\tat byte 7";
-    let channel = log.add_channel(schema.unwrap(), topic, "json", &Default::default());
-    let header = header(channel.unwrap(), 0, 1);
-    log.write_to_known_channel(&header, b"{}").unwrap();
+    let channel = log.topic(topic, "S\n", b"{\"type\": \"object\"}");
+    log.send(channel, 0, 1, &json!({}));
     let metadata = mcap::records::Metadata {
         name: "of\nit".to_owned(),
         metadata: Default::default(),
     };
-    log.write_metadata(&metadata).unwrap();
-    log.finish().unwrap();
+    log.0.write_metadata(&metadata).unwrap();
+    log.finish();
     let told = evermap(&["inspect", text(&path)]);
     for line in [
         "/a\\nloss\\tat byte 7  S\\n [json, jsonschema]",
@@ -642,17 +594,14 @@ fn write_robots(path: &Path) {
 
 /// Writes a log of two seconds with these transforms on `/tf`, each so many metres a message ahead.
 fn write_moving(path: &Path, transforms: &[(&str, &str, f64)]) {
-    let mut log = mcap::Writer::new(std::fs::File::create(path).unwrap()).unwrap();
+    let mut log = JsonLog::new(path);
     let (number, string) = (json!({"type": "number"}), json!({"type": "string"}));
     let xyz = json!({"type": "object", "properties": {"x": number, "y": number, "z": number}});
     let xyzw = json!({"type": "object", "properties": {"x": number, "y": number, "z": number, "w": number}});
-    let schema = json!({"type": "object", "properties": {
+    let members = json!({
         "parent_frame_id": string, "child_frame_id": string, "translation": xyz, "rotation": xyzw,
-    }});
-    let schema = schema.to_string();
-    let schema = log.add_schema("foxglove.FrameTransform", "jsonschema", schema.as_bytes());
-    let channel = log.add_channel(schema.unwrap(), "/tf", "json", &Default::default());
-    let channel_id = channel.unwrap();
+    });
+    let topic = log.topic_of("/tf", "foxglove.FrameTransform", &members);
     for tenth in 0..20_u32 {
         for (parent, child, step_m) in transforms {
             let message = json!({
@@ -661,13 +610,11 @@ fn write_moving(path: &Path, transforms: &[(&str, &str, f64)]) {
                 "translation": {"x": step_m * f64::from(tenth), "y": 0.0, "z": 0.0},
                 "rotation": {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0},
             });
-            let time = 1_700_000_000_000_000_000 + u64::from(tenth) * 100_000_000;
-            let header = header(channel_id, tenth, time);
-            log.write_to_known_channel(&header, message.to_string().as_bytes())
-                .unwrap();
+            let time = START + u64::from(tenth) * 100_000_000;
+            log.send(topic, tenth, time, &message);
         }
     }
-    log.finish().unwrap();
+    log.finish();
 }
 
 #[test]
@@ -791,20 +738,15 @@ fn a_plan_or_a_setting_says_which_is_the_vehicle_as_a_manifest_does() {
 
 /// Writes a log of these topics in JSON: name, type, members of the type, messages one tenth of a second apart.
 fn write_topics(path: &Path, topics: &[(&str, &str, Value, Vec<Value>)]) {
-    let mut log = mcap::Writer::new(std::fs::File::create(path).unwrap()).unwrap();
+    let mut log = JsonLog::new(path);
     for (topic, kind, members, messages) in topics {
-        let schema = json!({ "type": "object", "properties": members }).to_string();
-        let schema = log.add_schema(kind, "jsonschema", schema.as_bytes());
-        let channel = log.add_channel(schema.unwrap(), topic, "json", &Default::default());
-        let channel_id = channel.unwrap();
+        let topic = log.topic_of(topic, kind, members);
         for (message, tenth) in messages.iter().zip(0_u32..) {
-            let time = 1_700_000_000_000_000_000 + u64::from(tenth) * 100_000_000;
-            let header = header(channel_id, tenth, time);
-            log.write_to_known_channel(&header, message.to_string().as_bytes())
-                .unwrap();
+            let time = START + u64::from(tenth) * 100_000_000;
+            log.send(topic, tenth, time, message);
         }
     }
-    log.finish().unwrap();
+    log.finish();
 }
 
 /// Members of a point, of a rotation, and of `nav_msgs/Odometry`.

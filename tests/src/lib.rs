@@ -6,6 +6,7 @@
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 pub mod asked;
+pub mod json_log;
 pub mod kitti;
 pub mod odometry;
 pub mod park;
@@ -20,7 +21,9 @@ use std::process::{Command, Output, Stdio};
 use std::time::{Duration, SystemTime};
 
 pub use evermap_test_data::shared;
-use serde_json::Value;
+use serde_json::{Value, json};
+
+use crate::json_log::JsonLog;
 
 /// The repository.
 pub fn repository() -> &'static Path {
@@ -261,20 +264,10 @@ pub type DrivePose = (f64, f64, f64, f64);
 /// # Panics
 /// When the file cannot be written.
 pub fn write_nothing(path: &Path, topic: &str, (schema, text): (&str, &[u8])) {
-    let file = std::fs::File::create(path).expect("a session can be made");
-    let mut log = mcap::Writer::new(file).expect("an MCAP file begins");
-    let schema = log.add_schema(schema, "jsonschema", text);
-    let schema = schema.expect("a schema fits");
-    let channel = log.add_channel(schema, topic, "json", &Default::default());
-    let header = mcap::records::MessageHeader {
-        channel_id: channel.expect("a channel fits"),
-        sequence: 0,
-        log_time: 1,
-        publish_time: 1,
-    };
-    log.write_to_known_channel(&header, b"{}")
-        .expect("a message fits");
-    log.finish().expect("an MCAP file ends");
+    let mut log = JsonLog::new(path);
+    let topic = log.topic(topic, schema, text);
+    log.send(topic, 0, 1, &json!({}));
+    log.finish();
 }
 
 /// Writes a session with nothing but odometry (`/odom`, foxglove.PoseInFrame as JSON).
@@ -290,17 +283,11 @@ pub fn write_drive(path: &Path, poses: impl IntoIterator<Item = DrivePose>) {
 /// # Panics
 /// When the file cannot be written.
 pub fn write_drive_with(path: &Path, poses: impl IntoIterator<Item = DrivePose>, attached: &[u8]) {
-    let file = std::io::BufWriter::new(std::fs::File::create(path).expect("a session can be made"));
-    let mut writer = mcap::Writer::new(file).expect("an MCAP file begins");
-    let schema = writer
-        .add_schema("foxglove.PoseInFrame", "jsonschema", POSE_SCHEMA.as_bytes())
-        .expect("a schema fits");
-    let channel = writer
-        .add_channel(schema, "/odom", "json", &Default::default())
-        .expect("a channel fits");
+    let mut log = JsonLog::new(path);
+    let odometry = log.topic("/odom", "foxglove.PoseInFrame", POSE_SCHEMA.as_bytes());
     for (sequence, (seconds, x, y, yaw)) in poses.into_iter().enumerate() {
         let nanoseconds = 1_700_000_000_000_000_000 + (seconds * 1e9) as u64;
-        let message = serde_json::json!({
+        let message = json!({
             "timestamp": { "sec": nanoseconds / 1_000_000_000, "nsec": nanoseconds % 1_000_000_000 },
             "frame_id": "odom",
             "pose": {
@@ -308,15 +295,7 @@ pub fn write_drive_with(path: &Path, poses: impl IntoIterator<Item = DrivePose>,
                 "orientation": { "x": 0.0, "y": 0.0, "z": (yaw / 2.0).sin(), "w": (yaw / 2.0).cos() },
             },
         });
-        let header = mcap::records::MessageHeader {
-            channel_id: channel,
-            sequence: sequence as u32,
-            log_time: nanoseconds,
-            publish_time: nanoseconds,
-        };
-        writer
-            .write_to_known_channel(&header, message.to_string().as_bytes())
-            .expect("a message fits");
+        log.send(odometry, sequence as u32, nanoseconds, &message);
     }
     if !attached.is_empty() {
         let attachment = mcap::Attachment {
@@ -326,9 +305,9 @@ pub fn write_drive_with(path: &Path, poses: impl IntoIterator<Item = DrivePose>,
             media_type: "application/octet-stream".to_owned(),
             data: attached.into(),
         };
-        writer.attach(&attachment).expect("an attachment fits");
+        log.0.attach(&attachment).expect("an attachment fits");
     }
-    writer.finish().expect("an MCAP file ends");
+    log.finish();
 }
 
 pub(crate) const POSE_SCHEMA: &str = r#"{
