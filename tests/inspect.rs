@@ -82,6 +82,24 @@ fn run_in(folder: &Path, arguments: &[&str]) -> Finished {
     output.expect("evermap starts").into()
 }
 
+/// Runs a plan on a map of this name.
+fn run_plan_in(folder: &Path, plan: &str, map: &str, given: &[&str]) -> Finished {
+    let run = ["run", plan, "--map", map, "--progress", "none"];
+    run_in(folder, &[&run[..], given].concat())
+}
+
+/// The rows that a query of a map of this name has.
+fn rows_in(folder: &Path, map: &str, query: &str) -> Value {
+    let asked = ["sql", "--map", map, "--format", "json", query];
+    run_in(folder, &asked).expect(0).json()
+}
+
+/// How far the vehicle drove ahead, by the poses of a map of this name.
+fn driven_m(folder: &Path, map: &str) -> f64 {
+    let query = "SELECT max(map_from_vehicle['x']) AS m FROM poses";
+    rows_in(folder, map, query)[0]["m"].as_f64().unwrap()
+}
+
 /// Lines that say what the test is about, without the figures of the file's own bytes.
 const SAID: &str = "\
 messages     198
@@ -188,18 +206,8 @@ fn the_manifest_that_inspect_writes_runs_and_is_edited() {
     std::fs::write(&manifest, format!("\u{feff}{written}")).unwrap();
     let map = at("map");
     let run = |map: &Path, manifest: &Path| {
-        let (map, manifest) = (text(map), text(manifest));
-        let run = [
-            "run",
-            "trajectory",
-            "--map",
-            map,
-            "--manifest",
-            manifest,
-            "--progress",
-            "none",
-        ];
-        evermap(&run)
+        let manifest = ["--manifest", text(manifest)];
+        run_plan_in(folder.path(), "trajectory", text(map), &manifest)
     };
     run(&map, &manifest).expect(0);
     let sites = evermap(&[
@@ -513,19 +521,8 @@ fn a_run_tells_of_a_flipped_bit_outside_chunks_and_remembers_it() {
         log.send(odometry, tenth, time, &message);
     }
     log.finish();
-    let run = |log: &str, map: &str| {
-        let run = [
-            "run",
-            "trajectory",
-            "--progress",
-            "none",
-            "--map",
-            map,
-            "--sessions",
-            log,
-        ];
-        run_in(folder.path(), &run)
-    };
+    let run =
+        |log: &str, map: &str| run_plan_in(folder.path(), "trajectory", map, &["--sessions", log]);
     let said = "logs with a wrong checksum of their data";
     let sound = run("drive.mcap", "sound");
     assert!(!sound.stderr.contains(said), "{}", sound.stderr);
@@ -622,10 +619,7 @@ fn transforms_of_other_names_are_odometry_once_a_manifest_says_the_frame_and_cou
     let folder = tempfile::tempdir().unwrap();
     let at = |name: &str| folder.path().join(name);
     write_moving(&at("drone.mcap"), &[("world", "drone", 0.1)]);
-    let run = |map: &str, given: &[&str]| {
-        let run = ["run", "trajectory", "--map", map, "--progress", "none"];
-        run_in(folder.path(), &[&run[..], given].concat())
-    };
+    let run = |map: &str, given: &[&str]| run_plan_in(folder.path(), "trajectory", map, given);
     let told = run("none", &["--sessions", "drone.mcap"]).expect(3).stderr;
     for said in [
         "topics of transforms that move no vehicle on /tf",
@@ -639,8 +633,7 @@ fn transforms_of_other_names_are_odometry_once_a_manifest_says_the_frame_and_cou
     std::fs::write(at("drone.yaml"), written.expect(0).stdout).unwrap();
     run("map", &["--manifest", "drone.yaml"]).expect(0);
     let query = "SELECT max(map_from_vehicle['x']) > 1 AS moved FROM poses";
-    let asked = ["sql", "--map", "map", "--format", "json", query];
-    let asked = run_in(folder.path(), &asked).expect(0).json();
+    let asked = rows_in(folder.path(), "map", query);
     assert_eq!(asked[0]["moved"], true);
 }
 
@@ -656,10 +649,7 @@ fn of_robots_that_share_a_log_a_manifest_says_which_is_the_vehicle() {
     let told = format!("\nrobots\n  robot1/base_link, robot2/base_link: {choice}\n");
     assert!(inspected.contains(&told), "{inspected}");
 
-    let run = |map: &str, manifest: &[&str]| {
-        let run = ["run", "trajectory", "--map", map, "--progress", "none"];
-        run_in(folder.path(), &[&run[..], manifest].concat())
-    };
+    let run = |map: &str, given: &[&str]| run_plan_in(folder.path(), "trajectory", map, given);
     let refused = run("map", &["--sessions", "drive.mcap"]).expect(1).stderr;
     let found = "expected the odometry of one robot among transforms, found that of robot1/base_link, robot2/base_link";
     assert!(
@@ -677,12 +667,7 @@ fn of_robots_that_share_a_log_a_manifest_says_which_is_the_vehicle() {
         std::fs::write(at(&manifest), written.replace(asked, &said)).unwrap();
         // One map, made anew where the vehicle is another.
         run("map", &["--manifest", &manifest]).expect(0);
-        let query = "SELECT max(map_from_vehicle['x']) AS m FROM poses";
-        let read = run_in(
-            folder.path(),
-            &["sql", "--map", "map", "--format", "json", query],
-        );
-        read.expect(0).json()[0]["m"].as_f64().unwrap()
+        driven_m(folder.path(), "map")
     };
     let (first, second) = (driven_m("robot1"), driven_m("robot2"));
     assert!(
@@ -702,16 +687,10 @@ fn a_plan_or_a_setting_says_which_is_the_vehicle_as_a_manifest_does() {
     let roads = "plan: roads\nextends: georeference\nneeds: []\n";
     std::fs::write(at("roads.yaml"), roads).unwrap();
     let run = |plan: &str, map: &str, more: &[&str]| {
-        let run = ["run", plan, "--map", map, "--progress", "none"];
         let given = ["--sessions", "drive.mcap"];
-        run_in(folder.path(), &[&run[..], &given[..], more].concat())
+        run_plan_in(folder.path(), plan, map, &[&given[..], more].concat())
     };
-    let driven_m = |map: &str| {
-        let query = "SELECT max(map_from_vehicle['x']) AS m FROM poses";
-        let read = ["sql", "--map", map, "--format", "json", query];
-        let read = run_in(folder.path(), &read).expect(0).json();
-        read[0]["m"].as_f64().unwrap()
-    };
+    let driven_m = |map: &str| driven_m(folder.path(), map);
     run("second.yaml", "planned", &[]).expect(0);
     let set = |step: &str, robot: &str| format!("{step}.vehicle_frame={robot}/base_link");
     let first = set("inertial_odometry", "robot1");
@@ -794,15 +773,10 @@ fn of_robots_with_odometry_topics_that_of_the_vehicle_is_read_and_another_ones_r
     std::fs::write(at("first.yaml"), first).unwrap();
     let given = ["--sessions", "drive.mcap"];
     let run = |map: &str, more: &[&str]| {
-        let run = ["run", "trajectory", "--map", map, "--progress", "none"];
-        run_in(folder.path(), &[&run[..], &given[..], more].concat())
+        let given = [&given[..], more].concat();
+        run_plan_in(folder.path(), "trajectory", map, &given)
     };
-    let driven_m = |map: &str| {
-        let query = "SELECT max(map_from_vehicle['x']) AS m FROM poses";
-        let read = ["sql", "--map", map, "--format", "json", query];
-        let read = run_in(folder.path(), &read).expect(0).json();
-        read[0]["m"].as_f64().unwrap()
-    };
+    let driven_m = |map: &str| driven_m(folder.path(), map);
     let set = ["--set", "inertial_odometry.vehicle_frame=robot2/base_link"];
     run("first", &[]).expect(0);
     run("second", &["--manifest", "robot2.yaml"]).expect(0);
@@ -883,15 +857,10 @@ fn of_robots_whose_frames_are_called_alike_one_is_read_and_halves_of_two_are_ref
     std::fs::write(at("halves.yaml"), halves).unwrap();
     let given = ["--sessions", "drive.mcap"];
     let run = |map: &str, more: &[&str]| {
-        let run = ["run", "trajectory", "--map", map, "--progress", "none"];
-        run_in(folder.path(), &[&run[..], &given[..], more].concat())
+        let given = [&given[..], more].concat();
+        run_plan_in(folder.path(), "trajectory", map, &given)
     };
-    let driven_m = |map: &str| {
-        let query = "SELECT max(map_from_vehicle['x']) AS m FROM poses";
-        let read = ["sql", "--map", map, "--format", "json", query];
-        let read = run_in(folder.path(), &read).expect(0).json();
-        read[0]["m"].as_f64().unwrap()
-    };
+    let driven_m = |map: &str| driven_m(folder.path(), map);
     let note = "note: session drive: topics of several robots would do: those behind /robot1 are read, and none behind /robot2; \
                 say which one is the vehicle in a session manifest: `roles: { odometry: /robot2/odom }`";
     let told = run("first", &[]).expect(0).stderr;
@@ -978,17 +947,12 @@ fn odometry_of_a_frame_elsewhere_on_the_vehicle_is_told() {
         assert!(!told.contains("\nnote "), "{silent}: {told}");
     }
     inspected("imu_link");
-    let run = [
-        "run",
-        "trajectory",
-        "--map",
-        "map",
-        "--progress",
-        "none",
-        "--sessions",
-        "drive.mcap",
-    ];
-    let told = run_in(folder.path(), &run).expect(0).stderr;
+    let run = |more: &[&str]| {
+        let given = [&["--sessions", "drive.mcap"][..], more].concat();
+        let ran = run_plan_in(folder.path(), "trajectory", "map", &given);
+        ran.expect(0).stderr
+    };
+    let told = run(&[]);
     assert!(
         told.contains("note: session drive: odometry is of imu_link"),
         "{told}"
@@ -998,8 +962,7 @@ fn odometry_of_a_frame_elsewhere_on_the_vehicle_is_told() {
         "defaults: { vehicle_frame: imu_link }\n",
     )
     .unwrap();
-    let run = [&run[..], &["--manifest", "imu.yaml"]].concat();
-    let told = run_in(folder.path(), &run).expect(0).stderr;
+    let told = run(&["--manifest", "imu.yaml"]);
     assert!(!told.contains("odometry is of"), "{told}");
 }
 
@@ -1092,17 +1055,7 @@ fn what_a_manifest_names_and_nothing_has_is_warned_of_and_a_surveyed_site_needs_
              defaults: {{ origins: {{ {site}: [52.25, 10.5, 80.0, 0.0] }} }}\n"
         );
         std::fs::write(at("lot.yaml"), manifest).unwrap();
-        let run = [
-            "run",
-            plan,
-            "--map",
-            map,
-            "--progress",
-            "none",
-            "--manifest",
-            "lot.yaml",
-        ];
-        run_in(folder.path(), &run)
+        run_plan_in(folder.path(), plan, map, &["--manifest", "lot.yaml"])
     };
     let topic = "`roles.odometry` names `/tff`, which no session has: their topics are `/tf`; did you mean `/tf`?";
     let site =
@@ -1119,8 +1072,7 @@ fn what_a_manifest_names_and_nothing_has_is_warned_of_and_a_surveyed_site_needs_
     assert_eq!(checked.matches(topic).count(), 1, "{checked}");
     assert!(!checked.contains("`origins`"), "{checked}");
     let query = "SELECT site, latitude_deg FROM georeference";
-    let asked = ["sql", "--map", "map", "--format", "json", query];
-    let asked = run_in(folder.path(), &asked).expect(0).json();
+    let asked = rows_in(folder.path(), "map", query);
     assert_eq!(
         (&asked[0]["site"], &asked[0]["latitude_deg"]),
         (&json!("lot"), &json!(52.25))
@@ -1144,9 +1096,7 @@ fn sessions_have_the_same_sites_in_queries_checks_and_runs() {
     ] {
         let check = [&["check", plan], &given[..]].concat();
         run_in(folder.path(), &check).expect(0);
-        let map = ["--map", site, "--progress", "none"];
-        let run = [&["run", plan], &map[..], &given[..]].concat();
-        run_in(folder.path(), &run).expect(0);
+        run_plan_in(folder.path(), plan, site, &given).expect(0);
         let of_map = [&["--map", site][..], &["SELECT DISTINCT site FROM poses"]].concat();
         let of_logs = [&given[..], &["SELECT DISTINCT site FROM odometry"]].concat();
         for asked in [of_map, of_logs] {
@@ -1165,18 +1115,9 @@ fn the_same_recording_under_two_names_is_told() {
     write_moving(&at("other.mcap"), &[("odom", "base_link", 0.2)]);
     std::fs::copy(at("drive.mcap"), at("drive (1).mcap")).unwrap();
     let run = |given: &[&str]| {
-        let run = [
-            "run",
-            "trajectory",
-            "--map",
-            "map",
-            "--progress",
-            "none",
-            "--sessions",
-        ];
-        run_in(folder.path(), &[&run[..], given].concat())
-            .expect(0)
-            .stderr
+        let given = [&["--sessions"][..], given].concat();
+        let ran = run_plan_in(folder.path(), "trajectory", "map", &given);
+        ran.expect(0).stderr
     };
     let same = "is the same recording as session";
     let told = run(&["drive.mcap", "other.mcap"]);
