@@ -33,16 +33,18 @@ fn run(map: &Path, sessions: &[&Path]) -> Finished {
     evermap_tests::run(PLAN, map, sessions, &[])
 }
 
+/// Two drives of different lengths, `a` and `b`.
+fn two_drives(folder: &Path) -> [PathBuf; 2] {
+    let drives = ["a.mcap", "b.mcap"].map(|name| folder.join(name));
+    write_drive(&drives[0], rectangle(20.0, 10.0, 1.0));
+    write_drive(&drives[1], rectangle(30.0, 15.0, 1.5));
+    drives
+}
+
 #[test]
 fn a_second_session_recomputes_only_its_own() {
     let folder = tempfile::tempdir().unwrap();
-    let (a, b, map) = (
-        folder.path().join("a.mcap"),
-        folder.path().join("b.mcap"),
-        folder.path().join("map"),
-    );
-    write_drive(&a, rectangle(20.0, 10.0, 1.0));
-    write_drive(&b, rectangle(30.0, 15.0, 1.5));
+    let ([a, b], map) = (two_drives(folder.path()), folder.path().join("map"));
     run(&map, &[&a]).expect(0);
 
     let explained = evermap(&[
@@ -441,13 +443,7 @@ fn a_recording_that_is_split_makes_the_map_of_one_that_is_not() {
 #[test]
 fn versions_stay_readable_differ_and_are_forgotten() {
     let folder = tempfile::tempdir().unwrap();
-    let (a, b, map) = (
-        folder.path().join("a.mcap"),
-        folder.path().join("b.mcap"),
-        folder.path().join("map"),
-    );
-    write_drive(&a, rectangle(20.0, 10.0, 1.0));
-    write_drive(&b, rectangle(30.0, 15.0, 1.0));
+    let ([a, b], map) = (two_drives(folder.path()), folder.path().join("map"));
     run(&map, &[&a]).expect(0);
     run(&map, &[&b]).expect(0);
     let first = evermap(&[
@@ -587,10 +583,8 @@ fn a_torn_log_is_mapped_as_far_as_it_is_sound_and_the_loss_is_told() {
 #[test]
 fn a_plan_reads_the_version_before() {
     let folder = tempfile::tempdir().unwrap();
-    let (a, b) = (folder.path().join("a.mcap"), folder.path().join("b.mcap"));
+    let [a, b] = two_drives(folder.path());
     let (plan, map) = (folder.path().join("growth.yaml"), folder.path().join("map"));
-    write_drive(&a, rectangle(20.0, 10.0, 1.0));
-    write_drive(&b, rectangle(30.0, 15.0, 1.0));
     let lines = [
         "plan: growth",
         "steps:",

@@ -8,7 +8,7 @@ use std::io::{Read, Write};
 use std::path::{Path, PathBuf};
 use std::sync::OnceLock;
 
-use evermap_tests::asked::AskedStreet;
+use evermap_tests::asked::{AskedStreet, SMALL};
 use evermap_tests::park::{copy, made_once};
 use evermap_tests::server::{self, Server, bounded, drive, script};
 use evermap_tests::{Finished, command, evermap, rows_of, run_of_site, simulate, text};
@@ -687,14 +687,7 @@ steps:
 fn people_paint_on_images_and_the_next_run_has_learnt_from_it() {
     let folder = tempfile::tempdir().unwrap();
     let [map, labels, street] = ["map", "labels", "street"].map(|name| folder.path().join(name));
-    let small = [
-        "length_m=80",
-        "spacing_m=10",
-        "width_px=256",
-        "height_px=83",
-        "visits=1",
-    ];
-    simulate("street", &street, &small);
+    simulate("street", &street, &SMALL);
     let log = street.join("visit_a/visit_a.mcap");
     let plan = folder.path().join("unlabelled.yaml");
     std::fs::write(&plan, UNLABELLED).unwrap();

@@ -30,6 +30,15 @@ steps:
 write: [pictures, poses, cameras, mounts, said, label_anchors, placed_labels, person_questions]
 ";
 
+/// A street that is driven once, with few and small images.
+pub const SMALL: [&str; 5] = [
+    "length_m=80",
+    "spacing_m=10",
+    "width_px=256",
+    "height_px=83",
+    "visits=1",
+];
+
 /// A folder with the map of such a street, from one drive of at least eight images.
 pub struct AskedStreet {
     folder: tempfile::TempDir,
@@ -45,14 +54,7 @@ impl AskedStreet {
         let street = Self {
             folder: tempfile::tempdir().expect("a folder can be made"),
         };
-        let small = [
-            "length_m=80",
-            "spacing_m=10",
-            "width_px=256",
-            "height_px=83",
-            "visits=1",
-        ];
-        simulate("street", &street.path("street"), &small);
+        simulate("street", &street.path("street"), &SMALL);
         std::fs::write(street.path("asked.yaml"), PLAN).expect("a plan can be written");
         let first = street.run(&["--sessions", text(&street.log())]);
         assert!([0, 3].contains(&first.code), "{}", first.stderr);
