@@ -5,7 +5,8 @@
 
 use std::path::{Path, PathBuf};
 
-use evermap_tests::{Finished, evermap, text};
+use evermap_tests::json_log::JsonLog;
+use evermap_tests::{Finished, evermap, rows_of, run, text};
 use serde_json::{Value, json};
 use tempfile::TempDir;
 
@@ -31,7 +32,7 @@ impl Logs {
     /// Writes a log of these topics, each with the name of its schema and messages, one a second.
     fn write(&self, name: &str, topics: &[(&str, &str, Vec<Value>)]) -> PathBuf {
         let path = self.path(name);
-        let mut log = mcap::Writer::new(std::fs::File::create(&path).unwrap()).unwrap();
+        let mut log = JsonLog::new(&path);
         for (topic, schema, messages) in topics {
             let members = match *schema {
                 IMAGE => image_members(),
@@ -40,23 +41,12 @@ impl Logs {
                 TRANSFORM => transform_members(),
                 _ => json!({"data": {"type": "string", "contentEncoding": "base64"}}),
             };
-            let members = json!({"type": "object", "properties": members}).to_string();
-            let schema = log.add_schema(schema, "jsonschema", members.as_bytes());
-            let channel = log.add_channel(schema.unwrap(), topic, "json", &Default::default());
-            let channel_id = channel.unwrap();
+            let topic = log.topic_of(topic, schema, &members);
             for (second, message) in (1_u64..).zip(messages) {
-                let header = mcap::records::MessageHeader {
-                    channel_id,
-                    sequence: 0,
-                    log_time: second * 1_000_000_000,
-                    publish_time: second * 1_000_000_000,
-                };
-                let payload = message.to_string();
-                log.write_to_known_channel(&header, payload.as_bytes())
-                    .unwrap();
+                log.send(topic, 0, second * 1_000_000_000, message);
             }
         }
-        log.finish().unwrap();
+        log.finish();
         path
     }
 }
@@ -250,18 +240,9 @@ write: [features]
         &[("/front/image", IMAGE, vec![image])],
     );
     let map = logs.path(name);
-    let run = [
-        "run",
-        text(&plan),
-        "--map",
-        text(&map),
-        "--progress",
-        "none",
-    ];
-    let ended = evermap(&[&run[..], &["--sessions", text(&log)], more].concat()).expect(code);
+    let ended = run(text(&plan), &map, &[&log], more).expect(code);
     let sql = "SELECT u, v, size_px FROM features";
-    let found = evermap(&["sql", "--map", text(&map), "--format", "json", sql]);
-    (found.expect(0).json(), ended.stderr)
+    (rows_of(&map, sql), ended.stderr)
 }
 
 #[test]

@@ -13,7 +13,9 @@ use rand::SeedableRng;
 use rand::seq::SliceRandom;
 use rand_chacha::ChaCha8Rng;
 
-use evermap_tests::{command, command_that_hangs_up, evermap, rectangle, text, write_drive};
+use evermap_tests::{
+    command, command_that_hangs_up, evermap, layers_of, rectangle, text, write_drive,
+};
 use tempfile::TempDir;
 
 /// Stops with the test, however the test ends.
@@ -162,12 +164,6 @@ fn arguments<'a>(plan: &'a str, map: &'a Path, sessions: &'a [PathBuf]) -> Vec<&
     arguments
 }
 
-fn layers(map: &Path) -> serde_json::Value {
-    evermap(&["layers", "--map", text(map), "--format", "json"])
-        .expect(0)
-        .json()
-}
-
 #[test]
 fn a_pool_a_cluster_within_and_a_cluster_of_processes_make_equal_layers() {
     let folder = tempfile::tempdir().unwrap();
@@ -179,7 +175,7 @@ fn a_pool_a_cluster_within_and_a_cluster_of_processes_make_equal_layers() {
     let within = folder.path().join("within");
     let ended = cluster.within(&within, &sessions).output().unwrap();
     evermap_tests::Finished::from(ended).expect(0);
-    assert_eq!(layers(&within), layers(&local));
+    assert_eq!(layers_of(&within), layers_of(&local));
 
     let _scheduler = cluster.scheduler();
     let _executors = [cluster.executor(), cluster.executor()];
@@ -187,7 +183,7 @@ fn a_pool_a_cluster_within_and_a_cluster_of_processes_make_equal_layers() {
     let (url, mut outside) = (cluster.url(), arguments(PLAN, &apart, &sessions));
     outside.extend(["--cluster", &url]);
     evermap(&outside).expect(0);
-    assert_eq!(layers(&apart), layers(&local));
+    assert_eq!(layers_of(&apart), layers_of(&local));
 }
 
 #[test]
@@ -514,7 +510,7 @@ fn an_executor_that_stops_answering_is_given_up() {
     assert!(run.try_wait().unwrap().is_none(), "the run was over before");
     let ended: evermap_tests::Finished = run.wait_with_output().unwrap().into();
     ended.expect(0);
-    assert_eq!(layers(&map), layers(&local));
+    assert_eq!(layers_of(&map), layers_of(&local));
 }
 
 /// Units of a map that are done.
@@ -699,6 +695,6 @@ fn fifty_random_disturbances_change_nothing() {
         }
         let ended: evermap_tests::Finished = run.wait_with_output().unwrap().into();
         ended.expect(0);
-        assert_eq!(layers(&map), layers(&local));
+        assert_eq!(layers_of(&map), layers_of(&local));
     }
 }

@@ -5,7 +5,9 @@
 
 use std::path::Path;
 
-use evermap_tests::{Finished, evermap, rectangle, text, write_drive, write_nothing};
+use evermap_tests::json_log::JsonLog;
+use evermap_tests::{evermap, rectangle, rows_of, run, text, write_drive, write_nothing};
+use serde_json::json;
 
 /// A log with some topics and message types, without messages.
 fn write_topics(path: &Path, topics: &[(&str, &str)]) {
@@ -14,24 +16,14 @@ fn write_topics(path: &Path, topics: &[(&str, &str)]) {
 
 /// A log with some topics and message types, with so many messages each that say nothing.
 fn write_log(path: &Path, topics: &[(&str, &str)], messages: u32) {
-    let mut writer = mcap::Writer::new(std::fs::File::create(path).unwrap()).unwrap();
+    let mut log = JsonLog::new(path);
     for (topic, schema) in topics {
-        let fields = br#"{"type":"object","properties":{"header":{"type":"object"}}}"#;
-        let schema = writer.add_schema(schema, "jsonschema", fields).unwrap();
-        let channel_id = writer
-            .add_channel(schema, topic, "json", &Default::default())
-            .unwrap();
+        let topic = log.topic_of(topic, schema, &json!({"header": {"type": "object"}}));
         for sequence in 0..messages {
-            let header = mcap::records::MessageHeader {
-                channel_id,
-                sequence,
-                log_time: 1,
-                publish_time: 1,
-            };
-            writer.write_to_known_channel(&header, b"{}").unwrap();
+            log.send(topic, sequence, 1, &json!({}));
         }
     }
-    writer.finish().unwrap();
+    log.finish();
 }
 
 const PICTURES: (&str, &str) = ("/front/image", "sensor_msgs/Image");
@@ -39,21 +31,6 @@ const LABELS: (&str, &str) = ("/front/labels", "sensor_msgs/Image");
 const DEPTH: (&str, &str) = ("/front/depth", "sensor_msgs/Image");
 const CALIBRATION: (&str, &str) = ("/front/camera_info", "sensor_msgs/CameraInfo");
 const FIXES: (&str, &str) = ("/fix", "sensor_msgs/NavSatFix");
-
-fn run(plan: &str, map: &Path, sessions: &[&Path], more: &[&str]) -> Finished {
-    let mut arguments = vec![
-        "run",
-        plan,
-        "--map",
-        text(map),
-        "--progress",
-        "none",
-        "--sessions",
-    ];
-    arguments.extend(sessions.iter().map(|path| text(path)));
-    arguments.extend(more);
-    evermap(&arguments)
-}
 
 #[test]
 fn a_log_of_which_a_plan_makes_nothing_is_refused_alone_and_counted_among_others() {
@@ -569,10 +546,7 @@ fn versions_are_compared_in_metres() {
     write_drive(&drive, rectangle(32.0, 20.0, 1.0));
     run("trajectory", &map, &[&drive], &[]).expect(0);
 
-    let ask = |query: &str| {
-        let asked = ["sql", "--map", text(&map), "--format", "json", query];
-        evermap(&asked).expect(0).json()
-    };
+    let ask = |query: &str| rows_of(&map, query);
     // The far side of the lap is two metres farther.
     let lanes = ask("SELECT site, lane, change, moved_m, moved_rad FROM diff('lanes', 1, 2)");
     assert_eq!(lanes.as_array().unwrap().len(), 1, "{lanes}");
@@ -713,10 +687,7 @@ write: [places, points, named, words]
         write_drive(&drive, rectangle(length_m, 20.0, 1.0));
         run(text(&plan), &map, &[&drive], &[]).expect(0);
     }
-    let ask = |query: &str| {
-        let asked = ["sql", "--map", text(&map), "--format", "json", query];
-        evermap(&asked).expect(0).json()
-    };
+    let ask = |query: &str| rows_of(&map, query);
     for layer in ["places", "points", "named"] {
         let rows = ask(&format!(
             "SELECT count(*) FILTER (WHERE change <> 'added') AS before,
@@ -743,7 +714,7 @@ write: [places, points, named, words]
         assert_eq!(rows[0]["moved_m"], 0.0, "{layer}: {rows}");
     }
     let words = ask("SELECT DISTINCT geometry FROM diff('words', 1, 2)");
-    assert_eq!(words, serde_json::json!([{ "geometry": "a word" }]));
+    assert_eq!(words, json!([{ "geometry": "a word" }]));
     let all = ["diff", "--map", text(&map), "1", "2", "--format", "json"];
     let all = evermap(&all).expect(0).json();
     assert_eq!(all.as_array().unwrap().len(), 7, "{all}");
@@ -818,10 +789,7 @@ fn every_column_of_a_map_is_explained() {
     write_drive(&drive, rectangle(30.0, 20.0, 1.0));
     let map = folder.path().join("map");
     run("trajectory", &map, &[&drive], &[]).expect(0);
-    let sql = |query: &str| {
-        let asked = evermap(&["sql", "--map", text(&map), "--format", "json", query]);
-        asked.expect(0).json().as_array().unwrap().clone()
-    };
+    let sql = |query: &str| rows_of(&map, query).as_array().unwrap().clone();
     let lanes = sql(
         "SELECT \"column\", kind, unit, frame, meaning FROM columns WHERE layer = 'lanes' AND \"column\" = 'length_m'",
     );

@@ -5,29 +5,17 @@
 use std::path::Path;
 
 use evermap_datasets::log::record::{MAGIC, split};
+use evermap_tests::json_log::JsonLog;
 use evermap_tests::{Finished, command, evermap, text, write_nothing};
 use serde_json::{Value, json};
 
-/// The header of a message that was recorded when it was sent.
-fn header(channel_id: u16, sequence: u32, time: u64) -> mcap::records::MessageHeader {
-    mcap::records::MessageHeader {
-        channel_id,
-        sequence,
-        log_time: time,
-        publish_time: time,
-    }
-}
+/// Nanoseconds at which all logs here begin.
+const START: u64 = 1_700_000_000_000_000_000;
 
 /// Writes a log of ten seconds: odometry at 10 Hz with nothing between 4 and 6 s, two mounted cameras of which the
 /// rear one records nothing, one image a second, a topic that nobody reads.
 fn write(path: &Path) {
-    let mut log = mcap::Writer::new(std::fs::File::create(path).unwrap()).unwrap();
-    let topic = |log: &mut mcap::Writer<_>, topic: &str, schema: &str, members: Value| {
-        let schema_text = json!({ "type": "object", "properties": members }).to_string();
-        let schema = log.add_schema(schema, "jsonschema", schema_text.as_bytes());
-        log.add_channel(schema.unwrap(), topic, "json", &Default::default())
-            .unwrap()
-    };
+    let mut log = JsonLog::new(path);
     let (number, string) = (json!({"type": "number"}), json!({"type": "string"}));
     let object = |names: &[&str]| {
         let members = names
@@ -38,46 +26,24 @@ fn write(path: &Path) {
     let stamp = json!({"type": "object", "properties": {"sec": {"type": "integer"}, "nsec": {"type": "integer"}}});
     let (xyz, xyzw) = (object(&["x", "y", "z"]), object(&["x", "y", "z", "w"]));
     let pose = json!({"type": "object", "properties": {"position": xyz, "orientation": xyzw}});
-    let odometry = topic(
-        &mut log,
-        "/odom",
-        "foxglove.PoseInFrame",
-        json!({"timestamp": stamp, "frame_id": string, "pose": pose}),
-    );
+    let odometry = json!({"timestamp": stamp, "frame_id": string, "pose": pose});
+    let odometry = log.topic_of("/odom", "foxglove.PoseInFrame", &odometry);
     let transform = json!({
         "timestamp": stamp, "parent_frame_id": string, "child_frame_id": string, "translation": xyz, "rotation": xyzw,
     });
-    let fixed = topic(
-        &mut log,
-        "/tf_static",
-        "foxglove.FrameTransform",
-        transform.clone(),
-    );
-    let moving = topic(&mut log, "/tf", "foxglove.FrameTransform", transform);
-    let images = topic(
-        &mut log,
-        "/front/image",
-        "foxglove.CompressedImage",
-        json!({
-            "timestamp": stamp, "frame_id": string, "format": string,
-            "data": {"type": "string", "contentEncoding": "base64"},
-        }),
-    );
-    let battery = topic(
-        &mut log,
-        "/battery",
-        "our.Battery",
-        json!({"volts": number}),
-    );
+    let fixed = log.topic_of("/tf_static", "foxglove.FrameTransform", &transform);
+    let moving = log.topic_of("/tf", "foxglove.FrameTransform", &transform);
+    let images = json!({
+        "timestamp": stamp, "frame_id": string, "format": string,
+        "data": {"type": "string", "contentEncoding": "base64"},
+    });
+    let images = log.topic_of("/front/image", "foxglove.CompressedImage", &images);
+    let battery = log.topic_of("/battery", "our.Battery", &json!({"volts": number}));
 
-    let start = 1_700_000_000_000_000_000_u64;
-    let send = |log: &mut mcap::Writer<_>, channel_id: u16, tenth: u64, message: Value| {
-        let time = start + tenth * 100_000_000;
-        let header = header(channel_id, 0, time);
-        let mut message = message;
+    let send = |log: &mut JsonLog, topic: u16, tenth: u64, mut message: Value| {
+        let time = START + tenth * 100_000_000;
         message["timestamp"] = json!({"sec": time / 1_000_000_000, "nsec": time % 1_000_000_000});
-        log.write_to_known_channel(&header, message.to_string().as_bytes())
-            .unwrap();
+        log.send(topic, 0, time, &message);
     };
     let nowhere = json!({"x": 0.0, "y": 0.0, "z": 0.0});
     let ahead = json!({"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0});
@@ -107,13 +73,31 @@ fn write(path: &Path) {
             send(&mut log, images, tenth, image);
         }
     }
-    log.finish().unwrap();
+    log.finish();
 }
 
 fn run_in(folder: &Path, arguments: &[&str]) -> Finished {
     let mut command = command(arguments);
     let output = command.current_dir(folder).output();
     output.expect("evermap starts").into()
+}
+
+/// Runs a plan on a map of this name.
+fn run_plan_in(folder: &Path, plan: &str, map: &str, given: &[&str]) -> Finished {
+    let run = ["run", plan, "--map", map, "--progress", "none"];
+    run_in(folder, &[&run[..], given].concat())
+}
+
+/// The rows that a query of a map of this name has.
+fn rows_in(folder: &Path, map: &str, query: &str) -> Value {
+    let asked = ["sql", "--map", map, "--format", "json", query];
+    run_in(folder, &asked).expect(0).json()
+}
+
+/// How far the vehicle drove ahead, by the poses of a map of this name.
+fn driven_m(folder: &Path, map: &str) -> f64 {
+    let query = "SELECT max(map_from_vehicle['x']) AS m FROM poses";
+    rows_in(folder, map, query)[0]["m"].as_f64().unwrap()
 }
 
 /// Lines that say what the test is about, without the figures of the file's own bytes.
@@ -222,18 +206,8 @@ fn the_manifest_that_inspect_writes_runs_and_is_edited() {
     std::fs::write(&manifest, format!("\u{feff}{written}")).unwrap();
     let map = at("map");
     let run = |map: &Path, manifest: &Path| {
-        let (map, manifest) = (text(map), text(manifest));
-        let run = [
-            "run",
-            "trajectory",
-            "--map",
-            map,
-            "--manifest",
-            manifest,
-            "--progress",
-            "none",
-        ];
-        evermap(&run)
+        let manifest = ["--manifest", text(manifest)];
+        run_plan_in(folder.path(), "trajectory", text(map), &manifest)
     };
     run(&map, &manifest).expect(0);
     let sites = evermap(&[
@@ -390,11 +364,8 @@ fn a_flipped_bit_outside_chunks_is_told() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("log.mcap");
     let options = mcap::WriteOptions::new().use_chunks(false);
-    let file = std::fs::File::create(&path).unwrap();
-    let mut log = options.create(file).unwrap();
-    let schema = log.add_schema("S", "jsonschema", b"{\"type\": \"object\"}");
-    let channel = log.add_channel(schema.unwrap(), "/a", "json", &Default::default());
-    let header = header(channel.unwrap(), 0, 1);
+    let mut log = JsonLog::with(&path, options);
+    let topic = log.topic("/a", "S", b"{\"type\": \"object\"}");
     let attachment = mcap::Attachment {
         log_time: 1,
         create_time: 1,
@@ -402,14 +373,17 @@ fn a_flipped_bit_outside_chunks_is_told() {
         media_type: "text/plain".to_owned(),
         data: vec![b'n'; 3 << 20].into(),
     };
-    log.attach(&attachment).unwrap();
-    let payload = b"{\"volts\": 12.25}";
-    log.write_to_known_channel(&header, payload).unwrap();
-    log.finish().unwrap();
+    log.0.attach(&attachment).unwrap();
+    let message = json!({"volts": 12.25});
+    log.send(topic, 0, 1, &message);
+    log.finish();
     let told = evermap(&["inspect", text(&path)]);
     assert_eq!(told.code, 0, "{}", told.stderr);
     let mut bytes = std::fs::read(&path).unwrap();
-    let at = bytes.windows(payload.len()).position(|w| w == payload);
+    let payload = message.to_string();
+    let at = bytes
+        .windows(payload.len())
+        .position(|w| w == payload.as_bytes());
     bytes[at.unwrap() + 10] ^= 1;
     std::fs::write(&path, &bytes).unwrap();
     let told = evermap(&["inspect", text(&path)]);
@@ -429,16 +403,13 @@ fn messages_that_went_with_a_chunk_are_told_by_inspect_and_queries() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("log.mcap");
     let options = mcap::WriteOptions::new().chunk_size(Some(200));
-    let mut log = options
-        .create(std::fs::File::create(&path).unwrap())
-        .unwrap();
-    let channel = log.add_channel(0, "/a", "json", &Default::default());
-    let channel_id = channel.unwrap();
+    let mut log = JsonLog::with(&path, options);
+    let topic = log.0.add_channel(0, "/a", "json", &Default::default());
+    let topic = topic.unwrap();
     for sequence in 0..40 {
-        let header = header(channel_id, sequence, sequence.into());
-        log.write_to_known_channel(&header, b"{}").unwrap();
+        log.send(topic, sequence, sequence.into(), &json!({}));
     }
-    log.finish().unwrap();
+    log.finish();
     let query = "SELECT count(*) AS n FROM messages";
     let asked = ["sql", "--format", "json", "--sessions", text(&path), query];
     let told = evermap(&["inspect", text(&path)]);
@@ -522,8 +493,7 @@ fn damaged_metadata_is_told_by_inspect_and_queries() {
 fn a_run_tells_of_a_flipped_bit_outside_chunks_and_remembers_it() {
     let folder = tempfile::tempdir().unwrap();
     let options = mcap::WriteOptions::new().use_chunks(false);
-    let file = std::fs::File::create(folder.path().join("drive.mcap")).unwrap();
-    let mut log = options.create(file).unwrap();
+    let mut log = JsonLog::with(&folder.path().join("drive.mcap"), options);
     let numbers = |names: &[&str]| {
         let member = |name: &&str| ((*name).to_owned(), json!({"type": "number"}));
         let members: serde_json::Map<_, _> = names.iter().map(member).collect();
@@ -532,12 +502,8 @@ fn a_run_tells_of_a_flipped_bit_outside_chunks_and_remembers_it() {
     let pose = json!({"type": "object", "properties": {
         "position": numbers(&["x", "y", "z"]), "orientation": numbers(&["x", "y", "z", "w"]),
     }});
-    let schema =
-        json!({"type": "object", "properties": {"frame_id": {"type": "string"}, "pose": pose}});
-    let schema = schema.to_string();
-    let schema = log.add_schema("foxglove.PoseInFrame", "jsonschema", schema.as_bytes());
-    let channel = log.add_channel(schema.unwrap(), "/odom", "json", &Default::default());
-    let channel_id = channel.unwrap();
+    let members = json!({"frame_id": {"type": "string"}, "pose": pose});
+    let odometry = log.topic_of("/odom", "foxglove.PoseInFrame", &members);
     let attachment = mcap::Attachment {
         log_time: 1,
         create_time: 1,
@@ -545,31 +511,18 @@ fn a_run_tells_of_a_flipped_bit_outside_chunks_and_remembers_it() {
         media_type: "text/plain".to_owned(),
         data: vec![b'n'; 1000].into(),
     };
-    log.attach(&attachment).unwrap();
+    log.0.attach(&attachment).unwrap();
     for tenth in 0..20_u32 {
         let message = json!({"frame_id": "odom", "pose": {
             "position": {"x": f64::from(tenth) + 0.125, "y": 0.0, "z": 0.0},
             "orientation": {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0},
         }});
-        let time = 1_700_000_000_000_000_000 + u64::from(tenth) * 100_000_000;
-        let header = header(channel_id, tenth, time);
-        log.write_to_known_channel(&header, message.to_string().as_bytes())
-            .unwrap();
+        let time = START + u64::from(tenth) * 100_000_000;
+        log.send(odometry, tenth, time, &message);
     }
-    log.finish().unwrap();
-    let run = |log: &str, map: &str| {
-        let run = [
-            "run",
-            "trajectory",
-            "--progress",
-            "none",
-            "--map",
-            map,
-            "--sessions",
-            log,
-        ];
-        run_in(folder.path(), &run)
-    };
+    log.finish();
+    let run =
+        |log: &str, map: &str| run_plan_in(folder.path(), "trajectory", map, &["--sessions", log]);
     let said = "logs with a wrong checksum of their data";
     let sound = run("drive.mcap", "sound");
     assert!(!sound.stderr.contains(said), "{}", sound.stderr);
@@ -591,12 +544,10 @@ fn messages_that_no_checksum_covers_are_told() {
         let path = folder.path().join(format!("{summed}.mcap"));
         let options = mcap::WriteOptions::new().use_chunks(false);
         let options = options.calculate_data_section_crc(summed);
-        let file = std::fs::File::create(&path).unwrap();
-        let mut log = options.create(file).unwrap();
-        let channel = log.add_channel(0, "/a", "json", &Default::default());
-        let header = header(channel.unwrap(), 0, 1);
-        log.write_to_known_channel(&header, b"{}").unwrap();
-        log.finish().unwrap();
+        let mut log = JsonLog::with(&path, options);
+        let topic = log.0.add_channel(0, "/a", "json", &Default::default());
+        log.send(topic.unwrap(), 0, 1, &json!({}));
+        log.finish();
         evermap(&["inspect", text(&path)]).expect(0).stdout
     };
     let note = "note         1 message outside of chunks with no checksum to hold to";
@@ -609,18 +560,16 @@ fn messages_that_no_checksum_covers_are_told() {
 fn names_that_break_a_line_are_escaped() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("log.mcap");
-    let mut log = mcap::Writer::new(std::fs::File::create(&path).unwrap()).unwrap();
-    let schema = log.add_schema("S\n", "jsonschema", b"{\"type\": \"object\"}");
+    let mut log = JsonLog::new(&path);
     let topic = "/a\nloss\tat byte 7";
-    let channel = log.add_channel(schema.unwrap(), topic, "json", &Default::default());
-    let header = header(channel.unwrap(), 0, 1);
-    log.write_to_known_channel(&header, b"{}").unwrap();
+    let channel = log.topic(topic, "S\n", b"{\"type\": \"object\"}");
+    log.send(channel, 0, 1, &json!({}));
     let metadata = mcap::records::Metadata {
         name: "of\nit".to_owned(),
         metadata: Default::default(),
     };
-    log.write_metadata(&metadata).unwrap();
-    log.finish().unwrap();
+    log.0.write_metadata(&metadata).unwrap();
+    log.finish();
     let told = evermap(&["inspect", text(&path)]);
     for line in [
         "/a\\nloss\\tat byte 7  S\\n [json, jsonschema]",
@@ -642,17 +591,14 @@ fn write_robots(path: &Path) {
 
 /// Writes a log of two seconds with these transforms on `/tf`, each so many metres a message ahead.
 fn write_moving(path: &Path, transforms: &[(&str, &str, f64)]) {
-    let mut log = mcap::Writer::new(std::fs::File::create(path).unwrap()).unwrap();
+    let mut log = JsonLog::new(path);
     let (number, string) = (json!({"type": "number"}), json!({"type": "string"}));
     let xyz = json!({"type": "object", "properties": {"x": number, "y": number, "z": number}});
     let xyzw = json!({"type": "object", "properties": {"x": number, "y": number, "z": number, "w": number}});
-    let schema = json!({"type": "object", "properties": {
+    let members = json!({
         "parent_frame_id": string, "child_frame_id": string, "translation": xyz, "rotation": xyzw,
-    }});
-    let schema = schema.to_string();
-    let schema = log.add_schema("foxglove.FrameTransform", "jsonschema", schema.as_bytes());
-    let channel = log.add_channel(schema.unwrap(), "/tf", "json", &Default::default());
-    let channel_id = channel.unwrap();
+    });
+    let topic = log.topic_of("/tf", "foxglove.FrameTransform", &members);
     for tenth in 0..20_u32 {
         for (parent, child, step_m) in transforms {
             let message = json!({
@@ -661,13 +607,11 @@ fn write_moving(path: &Path, transforms: &[(&str, &str, f64)]) {
                 "translation": {"x": step_m * f64::from(tenth), "y": 0.0, "z": 0.0},
                 "rotation": {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0},
             });
-            let time = 1_700_000_000_000_000_000 + u64::from(tenth) * 100_000_000;
-            let header = header(channel_id, tenth, time);
-            log.write_to_known_channel(&header, message.to_string().as_bytes())
-                .unwrap();
+            let time = START + u64::from(tenth) * 100_000_000;
+            log.send(topic, tenth, time, &message);
         }
     }
-    log.finish().unwrap();
+    log.finish();
 }
 
 #[test]
@@ -675,10 +619,7 @@ fn transforms_of_other_names_are_odometry_once_a_manifest_says_the_frame_and_cou
     let folder = tempfile::tempdir().unwrap();
     let at = |name: &str| folder.path().join(name);
     write_moving(&at("drone.mcap"), &[("world", "drone", 0.1)]);
-    let run = |map: &str, given: &[&str]| {
-        let run = ["run", "trajectory", "--map", map, "--progress", "none"];
-        run_in(folder.path(), &[&run[..], given].concat())
-    };
+    let run = |map: &str, given: &[&str]| run_plan_in(folder.path(), "trajectory", map, given);
     let told = run("none", &["--sessions", "drone.mcap"]).expect(3).stderr;
     for said in [
         "topics of transforms that move no vehicle on /tf",
@@ -692,8 +633,7 @@ fn transforms_of_other_names_are_odometry_once_a_manifest_says_the_frame_and_cou
     std::fs::write(at("drone.yaml"), written.expect(0).stdout).unwrap();
     run("map", &["--manifest", "drone.yaml"]).expect(0);
     let query = "SELECT max(map_from_vehicle['x']) > 1 AS moved FROM poses";
-    let asked = ["sql", "--map", "map", "--format", "json", query];
-    let asked = run_in(folder.path(), &asked).expect(0).json();
+    let asked = rows_in(folder.path(), "map", query);
     assert_eq!(asked[0]["moved"], true);
 }
 
@@ -709,10 +649,7 @@ fn of_robots_that_share_a_log_a_manifest_says_which_is_the_vehicle() {
     let told = format!("\nrobots\n  robot1/base_link, robot2/base_link: {choice}\n");
     assert!(inspected.contains(&told), "{inspected}");
 
-    let run = |map: &str, manifest: &[&str]| {
-        let run = ["run", "trajectory", "--map", map, "--progress", "none"];
-        run_in(folder.path(), &[&run[..], manifest].concat())
-    };
+    let run = |map: &str, given: &[&str]| run_plan_in(folder.path(), "trajectory", map, given);
     let refused = run("map", &["--sessions", "drive.mcap"]).expect(1).stderr;
     let found = "expected the odometry of one robot among transforms, found that of robot1/base_link, robot2/base_link";
     assert!(
@@ -730,12 +667,7 @@ fn of_robots_that_share_a_log_a_manifest_says_which_is_the_vehicle() {
         std::fs::write(at(&manifest), written.replace(asked, &said)).unwrap();
         // One map, made anew where the vehicle is another.
         run("map", &["--manifest", &manifest]).expect(0);
-        let query = "SELECT max(map_from_vehicle['x']) AS m FROM poses";
-        let read = run_in(
-            folder.path(),
-            &["sql", "--map", "map", "--format", "json", query],
-        );
-        read.expect(0).json()[0]["m"].as_f64().unwrap()
+        driven_m(folder.path(), "map")
     };
     let (first, second) = (driven_m("robot1"), driven_m("robot2"));
     assert!(
@@ -755,16 +687,10 @@ fn a_plan_or_a_setting_says_which_is_the_vehicle_as_a_manifest_does() {
     let roads = "plan: roads\nextends: georeference\nneeds: []\n";
     std::fs::write(at("roads.yaml"), roads).unwrap();
     let run = |plan: &str, map: &str, more: &[&str]| {
-        let run = ["run", plan, "--map", map, "--progress", "none"];
         let given = ["--sessions", "drive.mcap"];
-        run_in(folder.path(), &[&run[..], &given[..], more].concat())
+        run_plan_in(folder.path(), plan, map, &[&given[..], more].concat())
     };
-    let driven_m = |map: &str| {
-        let query = "SELECT max(map_from_vehicle['x']) AS m FROM poses";
-        let read = ["sql", "--map", map, "--format", "json", query];
-        let read = run_in(folder.path(), &read).expect(0).json();
-        read[0]["m"].as_f64().unwrap()
-    };
+    let driven_m = |map: &str| driven_m(folder.path(), map);
     run("second.yaml", "planned", &[]).expect(0);
     let set = |step: &str, robot: &str| format!("{step}.vehicle_frame={robot}/base_link");
     let first = set("inertial_odometry", "robot1");
@@ -791,20 +717,15 @@ fn a_plan_or_a_setting_says_which_is_the_vehicle_as_a_manifest_does() {
 
 /// Writes a log of these topics in JSON: name, type, members of the type, messages one tenth of a second apart.
 fn write_topics(path: &Path, topics: &[(&str, &str, Value, Vec<Value>)]) {
-    let mut log = mcap::Writer::new(std::fs::File::create(path).unwrap()).unwrap();
+    let mut log = JsonLog::new(path);
     for (topic, kind, members, messages) in topics {
-        let schema = json!({ "type": "object", "properties": members }).to_string();
-        let schema = log.add_schema(kind, "jsonschema", schema.as_bytes());
-        let channel = log.add_channel(schema.unwrap(), topic, "json", &Default::default());
-        let channel_id = channel.unwrap();
+        let topic = log.topic_of(topic, kind, members);
         for (message, tenth) in messages.iter().zip(0_u32..) {
-            let time = 1_700_000_000_000_000_000 + u64::from(tenth) * 100_000_000;
-            let header = header(channel_id, tenth, time);
-            log.write_to_known_channel(&header, message.to_string().as_bytes())
-                .unwrap();
+            let time = START + u64::from(tenth) * 100_000_000;
+            log.send(topic, tenth, time, message);
         }
     }
-    log.finish().unwrap();
+    log.finish();
 }
 
 /// Members of a point, of a rotation, and of `nav_msgs/Odometry`.
@@ -852,15 +773,10 @@ fn of_robots_with_odometry_topics_that_of_the_vehicle_is_read_and_another_ones_r
     std::fs::write(at("first.yaml"), first).unwrap();
     let given = ["--sessions", "drive.mcap"];
     let run = |map: &str, more: &[&str]| {
-        let run = ["run", "trajectory", "--map", map, "--progress", "none"];
-        run_in(folder.path(), &[&run[..], &given[..], more].concat())
+        let given = [&given[..], more].concat();
+        run_plan_in(folder.path(), "trajectory", map, &given)
     };
-    let driven_m = |map: &str| {
-        let query = "SELECT max(map_from_vehicle['x']) AS m FROM poses";
-        let read = ["sql", "--map", map, "--format", "json", query];
-        let read = run_in(folder.path(), &read).expect(0).json();
-        read[0]["m"].as_f64().unwrap()
-    };
+    let driven_m = |map: &str| driven_m(folder.path(), map);
     let set = ["--set", "inertial_odometry.vehicle_frame=robot2/base_link"];
     run("first", &[]).expect(0);
     run("second", &["--manifest", "robot2.yaml"]).expect(0);
@@ -941,15 +857,10 @@ fn of_robots_whose_frames_are_called_alike_one_is_read_and_halves_of_two_are_ref
     std::fs::write(at("halves.yaml"), halves).unwrap();
     let given = ["--sessions", "drive.mcap"];
     let run = |map: &str, more: &[&str]| {
-        let run = ["run", "trajectory", "--map", map, "--progress", "none"];
-        run_in(folder.path(), &[&run[..], &given[..], more].concat())
+        let given = [&given[..], more].concat();
+        run_plan_in(folder.path(), "trajectory", map, &given)
     };
-    let driven_m = |map: &str| {
-        let query = "SELECT max(map_from_vehicle['x']) AS m FROM poses";
-        let read = ["sql", "--map", map, "--format", "json", query];
-        let read = run_in(folder.path(), &read).expect(0).json();
-        read[0]["m"].as_f64().unwrap()
-    };
+    let driven_m = |map: &str| driven_m(folder.path(), map);
     let note = "note: session drive: topics of several robots would do: those behind /robot1 are read, and none behind /robot2; \
                 say which one is the vehicle in a session manifest: `roles: { odometry: /robot2/odom }`";
     let told = run("first", &[]).expect(0).stderr;
@@ -1036,17 +947,12 @@ fn odometry_of_a_frame_elsewhere_on_the_vehicle_is_told() {
         assert!(!told.contains("\nnote "), "{silent}: {told}");
     }
     inspected("imu_link");
-    let run = [
-        "run",
-        "trajectory",
-        "--map",
-        "map",
-        "--progress",
-        "none",
-        "--sessions",
-        "drive.mcap",
-    ];
-    let told = run_in(folder.path(), &run).expect(0).stderr;
+    let run = |more: &[&str]| {
+        let given = [&["--sessions", "drive.mcap"][..], more].concat();
+        let ran = run_plan_in(folder.path(), "trajectory", "map", &given);
+        ran.expect(0).stderr
+    };
+    let told = run(&[]);
     assert!(
         told.contains("note: session drive: odometry is of imu_link"),
         "{told}"
@@ -1056,8 +962,7 @@ fn odometry_of_a_frame_elsewhere_on_the_vehicle_is_told() {
         "defaults: { vehicle_frame: imu_link }\n",
     )
     .unwrap();
-    let run = [&run[..], &["--manifest", "imu.yaml"]].concat();
-    let told = run_in(folder.path(), &run).expect(0).stderr;
+    let told = run(&["--manifest", "imu.yaml"]);
     assert!(!told.contains("odometry is of"), "{told}");
 }
 
@@ -1150,17 +1055,7 @@ fn what_a_manifest_names_and_nothing_has_is_warned_of_and_a_surveyed_site_needs_
              defaults: {{ origins: {{ {site}: [52.25, 10.5, 80.0, 0.0] }} }}\n"
         );
         std::fs::write(at("lot.yaml"), manifest).unwrap();
-        let run = [
-            "run",
-            plan,
-            "--map",
-            map,
-            "--progress",
-            "none",
-            "--manifest",
-            "lot.yaml",
-        ];
-        run_in(folder.path(), &run)
+        run_plan_in(folder.path(), plan, map, &["--manifest", "lot.yaml"])
     };
     let topic = "`roles.odometry` names `/tff`, which no session has: their topics are `/tf`; did you mean `/tf`?";
     let site =
@@ -1177,8 +1072,7 @@ fn what_a_manifest_names_and_nothing_has_is_warned_of_and_a_surveyed_site_needs_
     assert_eq!(checked.matches(topic).count(), 1, "{checked}");
     assert!(!checked.contains("`origins`"), "{checked}");
     let query = "SELECT site, latitude_deg FROM georeference";
-    let asked = ["sql", "--map", "map", "--format", "json", query];
-    let asked = run_in(folder.path(), &asked).expect(0).json();
+    let asked = rows_in(folder.path(), "map", query);
     assert_eq!(
         (&asked[0]["site"], &asked[0]["latitude_deg"]),
         (&json!("lot"), &json!(52.25))
@@ -1202,9 +1096,7 @@ fn sessions_have_the_same_sites_in_queries_checks_and_runs() {
     ] {
         let check = [&["check", plan], &given[..]].concat();
         run_in(folder.path(), &check).expect(0);
-        let map = ["--map", site, "--progress", "none"];
-        let run = [&["run", plan], &map[..], &given[..]].concat();
-        run_in(folder.path(), &run).expect(0);
+        run_plan_in(folder.path(), plan, site, &given).expect(0);
         let of_map = [&["--map", site][..], &["SELECT DISTINCT site FROM poses"]].concat();
         let of_logs = [&given[..], &["SELECT DISTINCT site FROM odometry"]].concat();
         for asked in [of_map, of_logs] {
@@ -1223,18 +1115,9 @@ fn the_same_recording_under_two_names_is_told() {
     write_moving(&at("other.mcap"), &[("odom", "base_link", 0.2)]);
     std::fs::copy(at("drive.mcap"), at("drive (1).mcap")).unwrap();
     let run = |given: &[&str]| {
-        let run = [
-            "run",
-            "trajectory",
-            "--map",
-            "map",
-            "--progress",
-            "none",
-            "--sessions",
-        ];
-        run_in(folder.path(), &[&run[..], given].concat())
-            .expect(0)
-            .stderr
+        let given = [&["--sessions"][..], given].concat();
+        let ran = run_plan_in(folder.path(), "trajectory", "map", &given);
+        ran.expect(0).stderr
     };
     let same = "is the same recording as session";
     let told = run(&["drive.mcap", "other.mcap"]);

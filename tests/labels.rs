@@ -8,7 +8,7 @@ use std::process::Stdio;
 use evermap_messages::annotation::{Anchor, Annotation, Geometry};
 use evermap_recording::annotations::AnnotationLog;
 use evermap_tests::asked::AskedStreet;
-use evermap_tests::{DrivePose, Finished, command, evermap, text, write_drive};
+use evermap_tests::{DrivePose, Finished, command, evermap, rows_of, text, write_drive};
 use serde_json::{Value, json};
 
 /// A straight drive at 2 m/s whose odometry measures a metre as so many.
@@ -74,9 +74,7 @@ impl Lot {
     }
 
     fn ask(&self, query: &str) -> Value {
-        let map = self.path("map");
-        let asked = ["sql", "--map", text(&map), "--format", "json", query];
-        evermap(&asked).expect(0).json()
+        rows_of(&self.path("map"), query)
     }
 
     /// Label, x and y in centimetres, what placed it.
@@ -1030,9 +1028,7 @@ fn boxes_on_camera_images_answer_for_who_is_seen_in_them() {
                 JOIN (SELECT *, row_number() OVER (ORDER BY stamp) AS nth FROM pictures) p
                   ON p.session = l.anchor['session'] AND p.stamp = l.anchor['stamp'] AND p.camera = l.anchor['camera']
                 WHERE l.kind = 'person' ORDER BY l.standing";
-    let tied = evermap(&["sql", "--map", text(&map), "--format", "json", tied])
-        .expect(0)
-        .json();
+    let tied = rows_of(&map, tied);
     let found: Vec<(&str, i64)> = tied
         .as_array()
         .unwrap()
@@ -1093,8 +1089,7 @@ fn answers_about_an_image_that_is_not_there_are_refused_or_counted() {
     let map = street.map();
     let first =
         "SELECT CAST(stamp AS BIGINT) AS stamp, camera FROM pictures ORDER BY stamp LIMIT 1";
-    let first = evermap(&["sql", "--map", text(&map), "--format", "json", first]);
-    let first = first.expect(0).json()[0].clone();
+    let first = rows_of(&map, first)[0].clone();
     let (file, log) = (street.path("person.json"), street.path("ada.mcap"));
     let import_with = |name: &str, image: Value| {
         let mut person = collection(&[(name, space(5.0, 0.0))]);

@@ -10,8 +10,8 @@ use std::time::{Duration, SystemTime};
 
 use evermap_tests::server::script;
 use evermap_tests::{
-    Finished, command, command_that_hangs_up, evermap, program, rectangle, repository, text,
-    until_rested, write_drive, write_drive_with,
+    Finished, command, command_that_hangs_up, evermap, layers_of, program, rectangle, repository,
+    rows_of, text, until_rested, write_drive, write_drive_with,
 };
 use serde_json::{Value, json};
 
@@ -19,9 +19,7 @@ const PLAN: &str = "trajectory";
 
 /// The digests of a map's layers, by name.
 fn digests(map: &Path) -> Vec<(String, String)> {
-    let layers = evermap(&["layers", "--map", text(map), "--format", "json"])
-        .expect(0)
-        .json();
+    let layers = layers_of(map);
     let digest = |layer: &Value| {
         (
             layer["layer"].as_str().unwrap().to_owned(),
@@ -31,36 +29,22 @@ fn digests(map: &Path) -> Vec<(String, String)> {
     layers.as_array().unwrap().iter().map(digest).collect()
 }
 
-fn run(map: &Path, sessions: &[&Path]) -> evermap_tests::Finished {
-    let mut arguments = vec![
-        "run",
-        PLAN,
-        "--map",
-        text(map),
-        "--progress",
-        "none",
-        "--sessions",
-    ];
-    arguments.extend(sessions.iter().map(|path| text(path)));
-    evermap(&arguments)
+fn run(map: &Path, sessions: &[&Path]) -> Finished {
+    evermap_tests::run(PLAN, map, sessions, &[])
 }
 
-fn query(map: &Path, sql: &str) -> Value {
-    evermap(&["sql", "--map", text(map), "--format", "json", sql])
-        .expect(0)
-        .json()
+/// Two drives of different lengths, `a` and `b`.
+fn two_drives(folder: &Path) -> [PathBuf; 2] {
+    let drives = ["a.mcap", "b.mcap"].map(|name| folder.join(name));
+    write_drive(&drives[0], rectangle(20.0, 10.0, 1.0));
+    write_drive(&drives[1], rectangle(30.0, 15.0, 1.5));
+    drives
 }
 
 #[test]
 fn a_second_session_recomputes_only_its_own() {
     let folder = tempfile::tempdir().unwrap();
-    let (a, b, map) = (
-        folder.path().join("a.mcap"),
-        folder.path().join("b.mcap"),
-        folder.path().join("map"),
-    );
-    write_drive(&a, rectangle(20.0, 10.0, 1.0));
-    write_drive(&b, rectangle(30.0, 15.0, 1.5));
+    let ([a, b], map) = (two_drives(folder.path()), folder.path().join("map"));
     run(&map, &[&a]).expect(0);
 
     let explained = evermap(&[
@@ -79,12 +63,12 @@ fn a_second_session_recomputes_only_its_own() {
     }
 
     run(&map, &[&b]).expect(0);
-    let computed = query(
+    let computed = rows_of(
         &map,
         "SELECT DISTINCT coalesce(session, site) AS of FROM runs WHERE version = 2 AND NOT cached",
     );
     assert_eq!(computed, serde_json::json!([{ "of": "b" }]));
-    let sessions = query(&map, "SELECT DISTINCT session FROM poses ORDER BY session");
+    let sessions = rows_of(&map, "SELECT DISTINCT session FROM poses ORDER BY session");
     assert_eq!(
         sessions,
         serde_json::json!([{ "session": "a" }, { "session": "b" }])
@@ -144,7 +128,7 @@ fn a_run_that_changes_nothing_publishes_nothing() {
     let first = records();
     run(&map, &[&a]).expect(0);
     assert_eq!(digests(&map), before);
-    let versions = query(&map, "SELECT version FROM versions");
+    let versions = rows_of(&map, "SELECT version FROM versions");
     assert_eq!(versions.as_array().unwrap().len(), 1);
     // What was done is told once; a version of which nobody tells is told of.
     assert_eq!((records(), first.len()), (first.clone(), 1));
@@ -424,9 +408,9 @@ fn whole_or_nothing(map: &Path, sessions: usize) {
     if !map.join("versions/1.json").exists() {
         return;
     }
-    let counted = query(map, "SELECT count(DISTINCT session) AS n FROM poses");
+    let counted = rows_of(map, "SELECT count(DISTINCT session) AS n FROM poses");
     assert_eq!(counted[0]["n"], sessions);
-    query(map, "SELECT count(*) FROM lanes");
+    rows_of(map, "SELECT count(*) FROM lanes");
 }
 
 #[test]
@@ -459,13 +443,7 @@ fn a_recording_that_is_split_makes_the_map_of_one_that_is_not() {
 #[test]
 fn versions_stay_readable_differ_and_are_forgotten() {
     let folder = tempfile::tempdir().unwrap();
-    let (a, b, map) = (
-        folder.path().join("a.mcap"),
-        folder.path().join("b.mcap"),
-        folder.path().join("map"),
-    );
-    write_drive(&a, rectangle(20.0, 10.0, 1.0));
-    write_drive(&b, rectangle(30.0, 15.0, 1.0));
+    let ([a, b], map) = (two_drives(folder.path()), folder.path().join("map"));
     run(&map, &[&a]).expect(0);
     run(&map, &[&b]).expect(0);
     let first = evermap(&[
@@ -505,11 +483,11 @@ fn versions_stay_readable_differ_and_are_forgotten() {
     evermap(&["gc", "--map", text(&map), "--keep", "1"]).expect(0);
     evermap(&["sql", "--map", text(&map), "--version", "1", "SELECT 1"]).expect(1);
     assert_eq!(
-        query(&map, "SELECT DISTINCT version FROM runs"),
+        rows_of(&map, "SELECT DISTINCT version FROM runs"),
         serde_json::json!([{ "version": 2 }])
     );
     assert_eq!(
-        query(&map, "SELECT count(DISTINCT session) AS n FROM poses"),
+        rows_of(&map, "SELECT count(DISTINCT session) AS n FROM poses"),
         serde_json::json!([{ "n": 2 }])
     );
 }
@@ -539,7 +517,7 @@ fn what_is_no_file_among_logs_is_counted() {
             assert!(told.contains(&said), "{said}: {told}");
         }
         assert_eq!(
-            query(&map, "SELECT DISTINCT session FROM poses"),
+            rows_of(&map, "SELECT DISTINCT session FROM poses"),
             serde_json::json!([{ "session": "a" }])
         );
     }
@@ -598,17 +576,15 @@ fn a_torn_log_is_mapped_as_far_as_it_is_sound_and_the_loss_is_told() {
         "{}",
         told.stderr
     );
-    let poses = query(&map, "SELECT count(*) AS n FROM poses");
+    let poses = rows_of(&map, "SELECT count(*) AS n FROM poses");
     assert!(poses[0]["n"].as_u64().unwrap() > 100, "{poses}");
 }
 
 #[test]
 fn a_plan_reads_the_version_before() {
     let folder = tempfile::tempdir().unwrap();
-    let (a, b) = (folder.path().join("a.mcap"), folder.path().join("b.mcap"));
+    let [a, b] = two_drives(folder.path());
     let (plan, map) = (folder.path().join("growth.yaml"), folder.path().join("map"));
-    write_drive(&a, rectangle(20.0, 10.0, 1.0));
-    write_drive(&b, rectangle(30.0, 15.0, 1.0));
     let lines = [
         "plan: growth",
         "steps:",
@@ -619,23 +595,12 @@ fn a_plan_reads_the_version_before() {
         "write: [keyframes, growth]",
     ];
     std::fs::write(&plan, lines.join("\n")).unwrap();
-    let run = |session: &Path| {
-        evermap(&[
-            "run",
-            text(&plan),
-            "--map",
-            text(&map),
-            "--progress",
-            "none",
-            "--sessions",
-            text(session),
-        ])
-    };
+    let run = |session: &Path| evermap_tests::run(text(&plan), &map, &[session], &[]);
     run(&a).expect(0);
-    let first = query(&map, "SELECT now, before FROM growth");
+    let first = rows_of(&map, "SELECT now, before FROM growth");
     assert_eq!(first[0]["before"], 0);
     run(&b).expect(0);
-    let second = query(&map, "SELECT now, before FROM growth");
+    let second = rows_of(&map, "SELECT now, before FROM growth");
     assert_eq!(second[0]["before"], first[0]["now"]);
     assert!(
         second[0]["now"].as_u64() > second[0]["before"].as_u64(),
@@ -662,10 +627,7 @@ fn a_query_that_is_none_is_refused() {
 fn rows_are_traced_back_to_the_messages_of_logs() {
     let folder = tempfile::tempdir().unwrap();
     let map = evermap_tests::server::map(folder.path());
-    let rows = |query: &str| {
-        let asked = ["sql", "--map", text(&map), "--format", "json", query];
-        evermap(&asked).expect(0).json()
-    };
+    let rows = |query: &str| rows_of(&map, query);
     let all = rows("SELECT * FROM lineage('lanes')");
     let all = all.as_array().unwrap();
     let named = |name: &str| {
@@ -724,9 +686,7 @@ fn sites_without_rows_are_traced_apart() {
     }
     let map = folder.path().join("map");
     run(&map, &[&logs[0], &logs[1]]).expect(0);
-    let query = "SELECT * FROM lineage('intersections')";
-    let asked = ["sql", "--map", text(&map), "--format", "json", query];
-    let all = evermap(&asked).expect(0).json();
+    let all = rows_of(&map, "SELECT * FROM lineage('intersections')");
     let named = |name: &'static str| {
         let all = all.as_array().unwrap().iter();
         all.filter(move |one| one["name"] == name)

@@ -8,7 +8,7 @@ use std::time::{Duration, SystemTime};
 
 use evermap_datasets::log::index::LogIndex;
 use evermap_engine::map::receipt::Receipt;
-use evermap_tests::{Finished, evermap, rectangle, text, until_rested, write_drive};
+use evermap_tests::{Finished, evermap, rectangle, rows_of, text, until_rested, write_drive};
 use serde_json::{Value, json};
 
 /// A lifelong plan that needs no camera: sessions that are not in the version before are new.
@@ -94,16 +94,7 @@ impl World {
     }
 
     fn query(&self, sql: &str) -> Value {
-        evermap(&[
-            "sql",
-            "--map",
-            text(&self.path("map")),
-            "--format",
-            "json",
-            sql,
-        ])
-        .expect(0)
-        .json()
+        rows_of(&self.path("map"), sql)
     }
 
     /// Sessions that all ways of asking found to be new.

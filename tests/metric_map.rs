@@ -22,7 +22,7 @@ use evermap_tests::park::{
     FEWER, Localised, Park, adjusted_error, copy, finished, made_once, run, run_small,
 };
 use evermap_tests::trajectories::{Trajectories, pairs, poses, rows};
-use evermap_tests::{evermap, plan_command, simulate, text};
+use evermap_tests::{layers_of, plan_command, simulate, text};
 use nalgebra::{Rotation3, Vector3};
 use serde_json::Value;
 
@@ -423,9 +423,7 @@ fn threads_and_partitions_do_not_change_the_map() {
             let done = command.env("RAYON_NUM_THREADS", jobs).output().unwrap();
             evermap_tests::Finished::from(done).expect(0);
         }
-        let layers = evermap(&["layers", "--map", text(&map), "--format", "json"])
-            .expect(0)
-            .json();
+        let layers = layers_of(&map);
         let digest = |layer: &serde_json::Value| (layer["layer"].clone(), layer["digest"].clone());
         layers
             .as_array()

@@ -2,7 +2,7 @@
 
 #![allow(clippy::unwrap_used, clippy::expect_used)]
 
-use evermap_tests::{evermap, page, rectangle, repository, text, write_drive};
+use evermap_tests::{evermap, page, rectangle, repository, rows_of, text, write_drive};
 
 #[test]
 fn every_shipped_plan_checks_and_its_tests_pass() {
@@ -496,8 +496,7 @@ fn a_plan_of_many_steps_takes_time_by_their_number() {
         let run = ["run", text(&plan), "--progress", "none"];
         evermap(&[run, given].concat()).expect(0);
         let count = format!("SELECT count(*) AS rows, count(DISTINCT stamp) AS stamps FROM {last}");
-        let count = ["sql", "--map", text(&map), "--format", "json", &count];
-        let count = evermap(&count).expect(0).json();
+        let count = rows_of(&map, &count);
         let expected = serde_json::json!([{ "rows": messages, "stamps": messages }]);
         assert_eq!(count, expected, "{name}");
     }

@@ -15,8 +15,8 @@ use datafusion::prelude::SessionContext;
 use evermap_engine::map::Map;
 use evermap_engine::sql::{Limits, context, read_only};
 use evermap_tests::{
-    BESIDE_MIB, Finished, command, evermap, plan_command, rectangle, repository, text, watched,
-    write_drive,
+    BESIDE_MIB, Finished, command, evermap, rectangle, repository, rows_of, run, run_of_site, text,
+    watched, write_drive,
 };
 use parquet::arrow::arrow_reader::ParquetRecordBatchReaderBuilder;
 use sqllogictest::{AsyncDB, DBOutput, DefaultColumnType, Runner};
@@ -95,17 +95,7 @@ fn drives(folder: &Path) -> Vec<std::path::PathBuf> {
 fn layers_of_a_map() {
     let folder = tempfile::tempdir().unwrap();
     let (drives, map) = (drives(folder.path()), folder.path().join("map"));
-    let sessions = [text(&drives[0]), text(&drives[1])];
-    evermap(&[
-        "run",
-        "trajectory",
-        "--map",
-        text(&map),
-        "--sessions",
-        sessions[0],
-        sessions[1],
-    ])
-    .expect(0);
+    run("trajectory", &map, &[&drives[0], &drives[1]], &[]).expect(0);
     let runtime = tokio::runtime::Runtime::new().unwrap();
     let context = runtime.block_on(async {
         let map = Map::open(text(&map), None).await.unwrap();
@@ -148,15 +138,7 @@ fn tables_of_logs() {
 fn mapped() -> (tempfile::TempDir, std::path::PathBuf) {
     let folder = tempfile::tempdir().unwrap();
     let (drives, map) = (drives(folder.path()), folder.path().join("map"));
-    let run = [
-        "run",
-        "trajectory",
-        "--map",
-        text(&map),
-        "--sessions",
-        text(&drives[0]),
-    ];
-    evermap(&run).expect(0);
+    run("trajectory", &map, &[&drives[0]], &[]).expect(0);
     (folder, map)
 }
 
@@ -214,8 +196,7 @@ fn layers_of_queries_have_the_units_and_frames_of_what_they_pass_on() {
     let map = folder.path().join("map");
     write_drive(&drive, rectangle(20.0, 10.0, 1.0));
     std::fs::write(&plan, PASSED_ON).unwrap();
-    let mut run = plan_command(text(&plan), &map, "lot", &["--sessions", text(&drive)]);
-    Finished::from(run.output().unwrap()).expect(0);
+    run_of_site(text(&plan), &map, "lot", &["--sessions", text(&drive)]).expect(0);
     let layer = |name: &str| {
         let mut files = std::fs::read_dir(map.join("newest").join(name)).unwrap();
         columns(&files.next().unwrap().unwrap().path())
@@ -286,15 +267,10 @@ fn layers_of_queries_have_the_units_and_frames_of_what_they_pass_on() {
     assert!(!passed.metadata().contains_key("geo"));
 
     // Whoever reads the map is told the same.
-    let told = evermap(&[
-        "sql",
-        "--map",
-        text(&map),
-        "--format",
-        "json",
+    let told = rows_of(
+        &map,
         "SELECT \"column\", unit, frame FROM columns WHERE layer = 'passed' AND (unit <> '' OR frame <> '') ORDER BY 1",
-    ]);
-    let told = told.expect(0).json();
+    );
     let line = |line: &serde_json::Value| {
         ["column", "unit", "frame"].map(|key| line[key].as_str().unwrap().to_owned())
     };
@@ -371,8 +347,7 @@ fn what_is_not_a_number_is_read_back_as_it_was_written() {
     let (plan, map) = (folder.path().join("plan.yaml"), folder.path().join("map"));
     write_drive(&drive, rectangle(20.0, 10.0, 1.0));
     std::fs::write(&plan, NOT_A_NUMBER).unwrap();
-    let mut run = plan_command(text(&plan), &map, "lot", &["--sessions", text(&drive)]);
-    Finished::from(run.output().unwrap()).expect(0);
+    run_of_site(text(&plan), &map, "lot", &["--sessions", text(&drive)]).expect(0);
     let answer = |query: &str| {
         let asked = ["sql", "--map", text(&map), "--format", "csv", query];
         let rows = evermap(&asked).expect(0).stdout;
@@ -407,15 +382,7 @@ fn queries_compare_several_maps() {
     let (folder, map) = mapped();
     let other = folder.path().join("other");
     let drive = folder.path().join("a.mcap");
-    let run = [
-        "run",
-        "trajectory",
-        "--map",
-        text(&other),
-        "--sessions",
-        text(&drive),
-    ];
-    evermap(&run).expect(0);
+    run("trajectory", &other, &[&drive], &[]).expect(0);
     let named = format!("second={}", text(&other));
     let ask = |maps: &[&str], query: &str| {
         let maps = maps.iter().flat_map(|map| ["--map", map]);

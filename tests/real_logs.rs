@@ -10,7 +10,7 @@
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-use evermap_tests::{Finished, evermap, plan_command, repository, shared, text};
+use evermap_tests::{evermap, repository, rows_of, rows_of_log, run, run_of_site, shared, text};
 use serde_json::Value;
 
 /// Every file below a folder, sorted.
@@ -112,9 +112,7 @@ fn compare(file: &str, topics: &[&str]) {
             return;
         };
         let query = format!("SELECT * FROM \"{topic}\" ORDER BY log_time, sequence");
-        let ours = evermap(&["sql", "--sessions", text(&file), "--format", "json", &query])
-            .expect(0)
-            .json();
+        let ours = rows_of_log(&file, &query);
         let ours = ours.as_array().unwrap();
         assert_eq!(ours.len(), theirs.len(), "{topic}");
         assert!(!ours.is_empty(), "{topic} is empty");
@@ -138,9 +136,7 @@ fn soccer_values_equal_the_official_readers() {
         return;
     };
     let query = "SELECT DISTINCT topic FROM messages";
-    let topics = evermap(&["sql", "--sessions", text(&file), "--format", "json", query])
-        .expect(0)
-        .json();
+    let topics = rows_of_log(&file, query);
     let topics: Vec<&str> = topics
         .as_array()
         .unwrap()
@@ -245,8 +241,8 @@ fn logs_of_eight_machines_are_understood_checked_and_mapped_or_refused_with_the_
         let checks = [("--sessions", &log), ("--manifest", &manifest)]
             .map(|(option, file)| evermap(&["check", "trajectory", option, text(file)]).code);
         let map = folder.path().join("map");
-        let mut run = plan_command("trajectory", &map, "lot", &["--sessions", text(&log)]);
-        let ran = Finished::from(run.output().unwrap()).expect(machine.code);
+        let ran = run_of_site("trajectory", &map, "lot", &["--sessions", text(&log)]);
+        let ran = ran.expect(machine.code);
         // What a message's values are is known when they are read: a check reads none.
         let refused = i32::from(machine.code == 1);
         assert_eq!(checks, [refused; 2], "{}", machine.log);
@@ -264,24 +260,11 @@ fn turtlebot_gives_its_road_network() {
     let folder = tempfile::tempdir().unwrap();
     let map = folder.path().join("map");
     let plan = repository().join("plans/library/trajectory.yaml");
-    evermap(&[
-        "run",
-        text(&plan),
-        "--map",
-        text(&map),
-        "--sessions",
-        text(&file),
-    ])
-    .expect(0);
+    run(text(&plan), &map, &[&file], &[]).expect(0);
     let query = "SELECT count(*) AS lanes, sum(length_m) AS length_m FROM lanes";
-    let lanes = evermap(&["sql", "--map", text(&map), "--format", "json", query])
-        .expect(0)
-        .json();
+    let lanes = rows_of(&map, query);
     assert!(lanes[0]["lanes"].as_u64().unwrap() >= 1, "{lanes}");
-    let driven = "SELECT count(*) AS n FROM poses";
-    let poses = evermap(&["sql", "--map", text(&map), "--format", "json", driven])
-        .expect(0)
-        .json();
+    let poses = rows_of(&map, "SELECT count(*) AS n FROM poses");
     let path_m = poses[0]["n"].as_f64().unwrap() * 0.2;
     let length_m = lanes[0]["length_m"].as_f64().unwrap();
     assert!(
@@ -334,19 +317,9 @@ fn four_real_fisheyes_become_a_view_from_above() {
         text(&log),
     ];
     evermap(&import).expect(0);
-    evermap(&[
-        "run",
-        "car_park",
-        "--map",
-        text(&map),
-        "--sessions",
-        text(&log),
-    ])
-    .expect(0);
+    run("car_park", &map, &[&log], &[]).expect(0);
     let query = "SELECT sum(covered) AS cells FROM overhead_tiles WHERE zoom = 0";
-    let seen = evermap(&["sql", "--map", text(&map), "--format", "json", query])
-        .expect(0)
-        .json();
+    let seen = rows_of(&map, query);
     let seen_m2 = seen[0]["cells"].as_f64().unwrap() * 0.05 * 0.05;
     // Four half discs of 8 m, overlapping.
     assert!(
@@ -372,22 +345,10 @@ fn kitti_drives_give_lanes_on_the_driven_path() {
             text(&log),
         ])
         .expect(0);
-        evermap(&[
-            "run",
-            "trajectory",
-            "--map",
-            text(&map),
-            "--sessions",
-            text(&log),
-        ])
-        .expect(0);
+        run("trajectory", &map, &[&log], &[]).expect(0);
         let points = "SELECT unnest(points) AS point FROM lanes";
         let driven = "SELECT map_from_vehicle['x'] AS x, map_from_vehicle['y'] AS y FROM poses";
-        let rows = |sql: &str| {
-            evermap(&["sql", "--map", text(&map), "--format", "json", sql])
-                .expect(0)
-                .json()
-        };
+        let rows = |sql: &str| rows_of(&map, sql);
         let driven: Vec<[f64; 2]> = rows(driven)
             .as_array()
             .unwrap()

@@ -13,13 +13,12 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use evermap_tests::trajectories::{rows, truth};
-use evermap_tests::{Finished, evermap, plan_command, shared, simulate, text};
+use evermap_tests::{Finished, evermap, run_of_site, shared, simulate, text};
 use serde_json::Value;
 
 /// Runs a plan on sessions of one site.
 fn run(plan: &str, map: &Path, more: &[&str]) -> Finished {
-    let run = plan_command(plan, map, "street", more).output();
-    run.unwrap().into()
+    run_of_site(plan, map, "street", more)
 }
 
 /// A manifest of one visit, with its labels from this topic.

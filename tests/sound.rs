@@ -4,7 +4,9 @@
 
 use std::path::{Path, PathBuf};
 
-use evermap_tests::{Finished, command, evermap, program, rectangle, text, write_drive};
+use evermap_tests::{
+    Finished, command, evermap, program, rectangle, rows_of, run, text, write_drive,
+};
 use serde_json::{Value, json};
 use tempfile::TempDir;
 
@@ -31,20 +33,7 @@ impl Mapped {
     }
 
     fn run(&self, session: &str) -> Finished {
-        let log = self.log(session);
-        let run = [
-            "run",
-            "trajectory",
-            "--map",
-            text(&self.map),
-            "--progress",
-            "none",
-        ];
-        let mut run = command(&run);
-        run.args(["--sessions", text(&log)])
-            .output()
-            .unwrap()
-            .into()
+        run("trajectory", &self.map, &[&self.log(session)], &[])
     }
 
     fn evermap(&self, command: &str, more: &[&str]) -> Finished {
@@ -54,9 +43,7 @@ impl Mapped {
     }
 
     fn query(&self, sql: &str) -> Value {
-        self.evermap("sql", &["--format", "json", sql])
-            .expect(0)
-            .json()
+        rows_of(&self.map, sql)
     }
 
     /// The artifacts of a layer of version 2.
@@ -344,19 +331,8 @@ fn what_is_damaged_of_the_version_before_is_made_anew_by_its_own_recipe() {
     let plan = mapped.folder.path().join("grown.yaml");
     std::fs::write(&plan, GROWN).unwrap();
     // Other parameters, so that this run itself makes nothing that the version before has.
-    let run = || -> Finished {
-        let run = [
-            "run",
-            text(&plan),
-            "--map",
-            text(&mapped.map),
-            "--progress",
-            "none",
-        ];
-        let mut run = command(&run);
-        run.args(["--set", "keyframes.baseline_m=0.7", "--sessions"]);
-        run.arg(mapped.log("b")).output().unwrap().into()
-    };
+    let set = ["--set", "keyframes.baseline_m=0.7"];
+    let run = || run(text(&plan), &mapped.map, &[&mapped.log("b")], &set);
     let lanes = mapped.query("SELECT count(*) AS lanes, sum(length_m) AS length_m FROM lanes");
     let damaged: Vec<PathBuf> = ["keyframes", "poses", "lanes"]
         .iter()

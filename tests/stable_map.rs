@@ -22,7 +22,7 @@ use evermap_algorithms::semantic_map::stable::occlusion::{Model, Occlusion};
 use evermap_tests::park::made_once;
 use evermap_tests::trajectories::{rows, truth};
 use evermap_tests::turned::turned;
-use evermap_tests::{Finished, evermap, plan_command, shared, simulate, text};
+use evermap_tests::{rows_of_log, run_of_site, shared, simulate, text};
 use nalgebra::{UnitQuaternion, Vector3};
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -72,9 +72,8 @@ fn run(
         let manifest = folder.join(format!("{visit}.yaml"));
         std::fs::write(&manifest, yaml).unwrap();
         let arguments = [&["--manifest", text(&manifest)], more].concat();
-        let run = plan_command(plan, &map, "street", &arguments).output();
-        let ended = Finished::from(run.unwrap());
-        ended.expect(if visit == VISITS[0] { 0 } else { code });
+        let code = if visit == VISITS[0] { 0 } else { code };
+        run_of_site(plan, &map, "street", &arguments).expect(code);
     }
     map
 }
@@ -99,8 +98,7 @@ fn cameras(world: &Path, turns: &Turns) -> BTreeMap<(String, i64), Pose> {
     for visit in VISITS {
         let log = world.join(format!("{visit}/{visit}.mcap"));
         let query = "SELECT parent_from_child AS mount FROM transforms";
-        let mounts = evermap(&["sql", "--format", "json", "--sessions", text(&log), query]);
-        let mount = pose(&mounts.expect(0).json()[0]["mount"]);
+        let mount = pose(&rows_of_log(&log, query)[0]["mount"]);
         for at in truth(&world.join(format!("{visit}/trajectory.tum"))) {
             let of_visit = turns.get(visit).and_then(|turns| turns.get(&at.stamp_ns));
             let turn = of_visit.map_or(Pose::identity(), |turn| to_the_right(*turn));

@@ -4,6 +4,7 @@
 
 use std::path::Path;
 
+use evermap_tests::json_log::JsonLog;
 use evermap_tests::{Finished, evermap, text};
 use serde_json::{Value, json};
 
@@ -22,29 +23,18 @@ fn write(path: &Path, [seconds, nanoseconds]: [&str; 2], stamps: &[Value]) {
         "header": object(json!({"stamp": stamp, "frame_id": {"type": "string"}})),
         "pose": object(json!({"pose": pose})),
     });
-    let mut log = mcap::Writer::new(std::fs::File::create(path).unwrap()).unwrap();
-    let schema = object(members).to_string();
-    let schema = log.add_schema("nav_msgs/Odometry", "jsonschema", schema.as_bytes());
-    let channel = log.add_channel(schema.unwrap(), "/odom", "json", &Default::default());
-    let channel_id = channel.unwrap();
+    let mut log = JsonLog::new(path);
+    let odometry = log.topic_of("/odom", "nav_msgs/Odometry", &members);
     for (second, stamp) in (0_u64..).zip(stamps) {
-        let time = LOGGED + second * 1_000_000_000;
-        let header = mcap::records::MessageHeader {
-            channel_id,
-            sequence: 0,
-            log_time: time,
-            publish_time: time,
-        };
         let position = json!({"x": second as f64, "y": 0.0, "z": 0.0});
         let orientation = json!({"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0});
         let message = json!({
             "header": {"stamp": stamp, "frame_id": "odom"},
             "pose": {"pose": {"position": position, "orientation": orientation}},
         });
-        log.write_to_known_channel(&header, message.to_string().as_bytes())
-            .unwrap();
+        log.send(odometry, 0, LOGGED + second * 1_000_000_000, &message);
     }
-    log.finish().unwrap();
+    log.finish();
 }
 
 /// The stamps of odometry, ns, in the order of its path.

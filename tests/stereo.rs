@@ -14,8 +14,8 @@ use std::path::Path;
 use evermap_algorithms::geometry::camera::Camera;
 use evermap_messages::ros2::{CompressedImage, Header, Message};
 use evermap_tests::park::{Park, adjusted_error, run_small};
+use evermap_tests::rows_of_log;
 use evermap_tests::trajectories::rows;
-use evermap_tests::{evermap, text};
 use evermap_vision::{Grey, decode_grey, encode_png};
 use nalgebra::{Rotation3, Unit, Vector3};
 use serde_json::Value;
@@ -97,8 +97,7 @@ fn between(image: &Grey, [u, v]: [f64; 2]) -> Option<u8> {
 /// The cameras of a log by the name in their topics, each turned by this angle about another axis.
 fn cameras(log: &Path, degrees: f64) -> BTreeMap<String, Rectified> {
     let sql = "SELECT camera, model, intrinsics, distortion FROM calibration";
-    let found = evermap(&["sql", "--sessions", text(log), "--format", "json", sql]);
-    let found = found.expect(0).json();
+    let found = rows_of_log(log, sql);
     let numbers = |list: &Value| -> Vec<f64> {
         let list = list.as_array().unwrap().iter();
         list.map(|number| number.as_f64().unwrap()).collect()

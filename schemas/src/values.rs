@@ -128,6 +128,7 @@ impl Pose {
 record! {
     /// Where an image's bytes lie in a log. Rows carry this instead of pixels; the engine fetches the bytes just
     /// before a kernel that asks for them.
+    #[derive(Default)]
     pub struct ImageRef {
         /// Session whose log holds the image.
         session: String,

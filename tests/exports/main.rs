@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 
 use evermap_tests::recording::is_read_as_the_map_says;
 use evermap_tests::server::{Server, map, script};
-use evermap_tests::{Finished, evermap, page, plan_command, simulate, text};
+use evermap_tests::{Finished, evermap, page, rows_of, rows_of_log, run_of_site, simulate, text};
 
 /// Danger and speeds where the vehicle was, as cells of 2 m.
 const CELLS: &str = r#"
@@ -33,29 +33,18 @@ fn a_recording_has_what_the_map_says() {
     let plan = folder.path().join("cells.yaml");
     std::fs::write(&plan, CELLS).unwrap();
     let monday = folder.path().join("monday.mcap");
-    let run = plan_command(text(&plan), &map, "lot", &["--sessions", text(&monday)]).output();
-    Finished::from(run.unwrap()).expect(0);
+    run_of_site(text(&plan), &map, "lot", &["--sessions", text(&monday)]).expect(0);
     let cells =
         "SELECT count(*) AS n FROM danger_map d JOIN speed_map s USING (\"column\", \"row\")";
-    let cells = ["sql", "--map", text(&map), "--format", "json", cells];
-    let cells = evermap(&cells).expect(0).json();
+    let cells = rows_of(&map, cells);
     assert!(cells[0]["n"].as_u64().unwrap() > 20, "{cells}");
     is_read_as_the_map_says(&map, folder.path());
 
     // A recording is a log again.
     let out = folder.path().join("recording.mcap");
     let count = "SELECT count(*) AS n FROM transforms WHERE parent = 'map'";
-    let sessions = ["sql", "--sessions", text(&out), "--format", "json", count];
-    let found = evermap(&sessions).expect(0).json();
-    let poses = [
-        "sql",
-        "--map",
-        text(&map),
-        "--format",
-        "json",
-        "SELECT count(*) AS n FROM poses",
-    ];
-    assert_eq!(found, evermap(&poses).expect(0).json());
+    let poses = rows_of(&map, "SELECT count(*) AS n FROM poses");
+    assert_eq!(rows_of_log(&out, count), poses);
 
     // Of one session, only that.
     let monday = folder.path().join("monday_alone.mcap");
@@ -72,17 +61,8 @@ fn a_recording_has_what_the_map_says() {
     ];
     evermap(&export).expect(0);
     let topics = "SELECT DISTINCT topic FROM channels WHERE topic LIKE '/trajectory/%'";
-    let topics = [
-        "sql",
-        "--sessions",
-        text(&monday),
-        "--format",
-        "json",
-        topics,
-    ];
-    let found = evermap(&topics).expect(0).json();
     assert_eq!(
-        found,
+        rows_of_log(&monday, topics),
         serde_json::json!([{ "topic": "/trajectory/monday" }])
     );
 }
@@ -154,20 +134,11 @@ fn pictures_are_recorded(folder: &Path, session: &Path) {
     let plan = folder.join("pictures.yaml");
     std::fs::write(&plan, PICTURES).unwrap();
     let map = folder.join("pictures");
-    let run = plan_command(text(&plan), &map, "lot", &["--sessions", text(session)]).output();
-    Finished::from(run.unwrap()).expect(0);
+    run_of_site(text(&plan), &map, "lot", &["--sessions", text(session)]).expect(0);
     is_read_as_the_map_says(&map, folder);
     let recording = folder.join("recording.mcap");
     let images = "SELECT count(*) AS n FROM frames";
-    let count = [
-        "sql",
-        "--sessions",
-        text(&recording),
-        "--format",
-        "json",
-        images,
-    ];
-    let found = evermap(&count).expect(0).json();
+    let found = rows_of_log(&recording, images);
     assert!(found[0]["n"].as_u64().unwrap() > 100, "{found}");
 }
 
@@ -183,31 +154,26 @@ write: [mounts]
 
 /// Where poses are of a camera, what it is mounted on moves in the map such that the camera is there.
 fn the_frame_of_poses_is_where_they_are(folder: &Path, session: &Path) {
-    let ask = |of: [&str; 2], query: &str| {
-        let asked = [&["sql"][..], &of[..], &["--format", "json", query][..]].concat();
-        evermap(&asked).expect(0).json()
-    };
     let mount = "SELECT parent, child, sqrt(power(parent_from_child['x'], 2) + power(parent_from_child['y'], 2)
                  + power(parent_from_child['z'], 2)) AS away_m FROM transforms WHERE fixed ORDER BY child LIMIT 1";
-    let mount = ask(["--sessions", text(session)], mount);
+    let mount = rows_of_log(session, mount);
     let name = |column: &str| mount[0][column].as_str().unwrap();
     let plan = folder.join("of_a_frame.yaml");
     std::fs::write(&plan, OF_A_FRAME.replace("FRAME", name("child"))).unwrap();
     let map = folder.join("of_a_frame");
-    let run = plan_command(text(&plan), &map, "lot", &["--sessions", text(session)]).output();
-    Finished::from(run.unwrap()).expect(0);
+    run_of_site(text(&plan), &map, "lot", &["--sessions", text(session)]).expect(0);
     let out = folder.join("of_a_frame.mcap");
     exported(&map, &out, &["--format", "mcap"]);
     let at = |pose: &str, rest: &str| {
         format!("SELECT {pose}['x'] AS x, {pose}['y'] AS y, {pose}['z'] AS z {rest} ORDER BY stamp")
     };
     let poses = at("map_from_vehicle", "FROM poses");
-    let poses = ask(["--map", text(&map)], &poses);
+    let poses = rows_of(&map, &poses);
     let moved = at(
         "parent_from_child",
         ", child FROM transforms WHERE parent = 'map'",
     );
-    let moved = ask(["--sessions", text(&out)], &moved);
+    let moved = rows_of_log(&out, &moved);
     let (poses, moved) = (poses.as_array().unwrap(), moved.as_array().unwrap());
     assert!(poses.len() > 100 && poses.len() == moved.len());
     let away_m = mount[0]["away_m"].as_f64().unwrap();
@@ -244,8 +210,7 @@ fn on_earth(folder: &Path) -> PathBuf {
     pictures_are_recorded(folder, &session);
     the_frame_of_poses_is_where_they_are(folder, &session);
     let more = ["--sessions", text(&session)];
-    let run = plan_command("georeference", &roads, "lot", &more).output();
-    Finished::from(run.expect("evermap starts")).expect(0);
+    run_of_site("georeference", &roads, "lot", &more).expect(0);
     roads
 }
 
@@ -261,8 +226,7 @@ fn what_lanes_were_made_from_is_answered_as_the_docs_ask(map: &Path) {
     let queries: Vec<String> = queries.collect();
     assert_eq!(queries.len(), 3);
     for query in queries {
-        let asked = ["sql", "--map", text(map), "--format", "json", &query];
-        let rows = evermap(&asked).expect(0).json();
+        let rows = rows_of(map, &query);
         assert!(!rows.as_array().unwrap().is_empty(), "{query}");
     }
 }
@@ -311,9 +275,6 @@ fn a_map_of_a_car_with_a_receiver_opens_where_it_is() {
     let recording = file("roads.mcap");
     exported(&roads, &recording, &["--format", "mcap"]);
     let query = "SELECT count(*) AS n FROM gnss_fixes WHERE latitude_deg BETWEEN 52.2 AND 52.3";
-    let sessions = ["--sessions", text(&recording), "--format", "json", query];
-    let found = evermap(&[&["sql"], &sessions[..]].concat())
-        .expect(0)
-        .json();
+    let found = rows_of_log(&recording, query);
     assert!(found[0]["n"].as_u64().unwrap() > 100, "{found}");
 }

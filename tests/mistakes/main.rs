@@ -6,6 +6,7 @@
 
 use std::path::Path;
 
+use evermap_tests::json_log::JsonLog;
 use evermap_tests::{Finished, command, plan_command, program, rectangle, repository, write_drive};
 
 /// What lies in the folder where they work: logs, a map, plans.
@@ -27,15 +28,9 @@ fn furnish(folder: &Path) {
         "wrong.yaml",
         b"sessions:\n  - { name: monday, file: monday.mcap }\n",
     );
-    let mut writer =
-        mcap::Writer::new(std::fs::File::create(folder.join("blind.mcap")).unwrap()).unwrap();
-    let schema = writer
-        .add_schema("sensor_msgs/Image", "jsonschema", b"{}")
-        .unwrap();
-    writer
-        .add_channel(schema, "/front", "json", &Default::default())
-        .unwrap();
-    writer.finish().unwrap();
+    let mut blind = JsonLog::new(&folder.join("blind.mcap"));
+    blind.topic("/front", "sensor_msgs/Image", b"{}");
+    blind.finish();
     for (name, plan) in PLANS {
         file(name, plan.as_bytes());
     }

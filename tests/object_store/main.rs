@@ -10,7 +10,7 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, Barrier, Mutex};
 use std::time::Duration;
 
-use evermap_tests::{Finished, command, evermap, rectangle, text, write_drive};
+use evermap_tests::{Finished, command, layers_of, rectangle, run, text, write_drive};
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use serde_json::{Value, json};
@@ -57,18 +57,9 @@ fn drives(folder: &Path, count: usize) -> Vec<PathBuf> {
 /// The layers of a map of these sessions in a local folder.
 fn local_layers(folder: &Path, sessions: &[PathBuf]) -> Value {
     let map = folder.join("local");
-    let mut run = command(&[
-        "run",
-        "trajectory",
-        "--progress",
-        "none",
-        "--map",
-        text(&map),
-    ]);
-    run.arg("--sessions").args(sessions);
-    ended(run).expect(0);
-    let layers = evermap(&["layers", "--map", text(&map), "--format", "json"]);
-    layers.expect(0).json()
+    let sessions: Vec<&Path> = sessions.iter().map(PathBuf::as_path).collect();
+    run("trajectory", &map, &sessions, &[]).expect(0);
+    layers_of(&map)
 }
 
 #[test]

@@ -8,10 +8,10 @@ use std::io::{Read, Write};
 use std::path::{Path, PathBuf};
 use std::sync::OnceLock;
 
-use evermap_tests::asked::AskedStreet;
+use evermap_tests::asked::{AskedStreet, SMALL};
 use evermap_tests::park::{copy, made_once};
 use evermap_tests::server::{self, Server, bounded, drive, script};
-use evermap_tests::{Finished, command, evermap, plan_command, simulate, text};
+use evermap_tests::{Finished, command, evermap, rows_of, run_of_site, simulate, text};
 use evermap_vision::{Grey, decode_labels};
 use serde_json::{Value, json};
 
@@ -31,12 +31,6 @@ fn ended(name: &str, arguments: &[&str]) {
     }
 }
 
-fn sql(map: &Path, query: &str) -> Value {
-    evermap(&["sql", "--map", text(map), "--format", "json", query])
-        .expect(0)
-        .json()
-}
-
 #[test]
 fn programs_read_what_evermap_sql_prints() {
     let folder = tempfile::tempdir().unwrap();
@@ -44,7 +38,7 @@ fn programs_read_what_evermap_sql_prints() {
     let queries = include_str!("queries.sql").split(";\n");
     let queries = queries.filter(|query| !query.trim().is_empty());
     let asked: Vec<Value> = queries
-        .map(|query| json!([query, sql(&map, query)]))
+        .map(|query| json!([query, rows_of(&map, query)]))
         .collect();
     assert!(asked.len() >= 60);
     let expected = folder.path().join("expected.json");
@@ -172,7 +166,7 @@ fn clients_see_versions_whole_while_they_are_published() {
         ended.stdout
     );
     assert!(held < 1 << 30, "{held} bytes");
-    let poses = sql(&map, "SELECT count(*) AS n FROM poses");
+    let poses = rows_of(&map, "SELECT count(*) AS n FROM poses");
     assert!(
         ended.stdout.contains(&format!("last {}", poses[0]["n"])),
         "{}",
@@ -189,7 +183,7 @@ fn a_server_stays_at_the_newest_whole_version_where_the_next_is_torn() {
     let whole = std::fs::read(map.join("versions/2.json")).unwrap();
     std::fs::write(map.join("versions/3.json"), &whole[..whole.len() / 2]).unwrap();
     let query = "/sql?format=csv&query=SELECT+count(*)+AS+n+FROM+lanes";
-    let lanes = sql(&map, "SELECT count(*) AS n FROM lanes");
+    let lanes = rows_of(&map, "SELECT count(*) AS n FROM lanes");
     let expected = format!("n\n{}\n", lanes[0]["n"]);
     for _ in 0..3 {
         let answer = server.got(query);
@@ -211,7 +205,7 @@ fn a_version_that_gc_forgets_meanwhile_is_not_answered_in_part() {
     drive(folder.path(), &map, "wednesday", 28.0);
     let lanes = |version: &str| {
         let query = format!("SELECT digest FROM {version}layers WHERE layer = 'lanes'");
-        sql(&map, &query)
+        rows_of(&map, &query)
     };
     assert_ne!(lanes("v2."), lanes(""));
     let beside = || asked(&server, "SELECT count(*) AS n FROM v2.lanes");
@@ -608,8 +602,7 @@ fn people_teach_by_http_and_everything_else_is_refused() {
     let plan = folder.path().join("taught.yaml");
     let taught = "plan: taught\nextends: trajectory\nsteps:\n  said: { sql: SELECT * FROM annotations }\nwrite: [said]\n";
     std::fs::write(&plan, taught).unwrap();
-    let run = plan_command(text(&plan), &map, "lot", &sessions).output();
-    Finished::from(run.unwrap()).expect(3);
+    run_of_site(text(&plan), &map, "lot", &sessions).expect(3);
     // What cannot be read among them is told, as the end of a command tells it.
     let junk = log("junk.mcap");
     std::fs::write(&junk, "no log at all").unwrap();
@@ -677,7 +670,7 @@ fn label_images(map: &Path, layer: &str) -> BTreeMap<i64, (Vec<String>, Grey)> {
             (classes, decode_labels(&png).unwrap()),
         )
     };
-    let rows = sql(map, &query);
+    let rows = rows_of(map, &query);
     rows.as_array().unwrap().iter().map(image).collect()
 }
 
@@ -695,18 +688,11 @@ steps:
 fn people_paint_on_images_and_the_next_run_has_learnt_from_it() {
     let folder = tempfile::tempdir().unwrap();
     let [map, labels, street] = ["map", "labels", "street"].map(|name| folder.path().join(name));
-    let small = [
-        "length_m=80",
-        "spacing_m=10",
-        "width_px=256",
-        "height_px=83",
-        "visits=1",
-    ];
-    simulate("street", &street, &small);
+    simulate("street", &street, &SMALL);
     let log = street.join("visit_a/visit_a.mcap");
     let plan = folder.path().join("unlabelled.yaml");
     std::fs::write(&plan, UNLABELLED).unwrap();
-    let run = |sessions: &[&str]| -> Finished {
+    let run = |sessions: &[&str]| {
         let mut more = sessions.to_vec();
         for setting in [
             "samples.samples=400",
@@ -716,8 +702,7 @@ fn people_paint_on_images_and_the_next_run_has_learnt_from_it() {
         ] {
             more.extend(["--set", setting]);
         }
-        let run = plan_command(text(&plan), &map, "street", &more).output();
-        run.unwrap().into()
+        run_of_site(text(&plan), &map, "street", &more)
     };
     let first = run(&["--sessions", text(&log)]).expect(3);
     assert!(
@@ -726,7 +711,7 @@ fn people_paint_on_images_and_the_next_run_has_learnt_from_it() {
         first.stderr
     );
     let count =
-        |layer: &str| sql(&map, &format!("SELECT count(*) AS n FROM {layer}"))[0]["n"].as_u64();
+        |layer: &str| rows_of(&map, &format!("SELECT count(*) AS n FROM {layer}"))[0]["n"].as_u64();
     let images = count("pictures").unwrap();
     assert!(images >= 8 && count("label_images") == Some(0));
 
@@ -793,7 +778,7 @@ fn people_answer_for_who_is_seen_in_images() {
     // The server was killed: its logs have no end.
     street.run(&sessions).expect(3);
 
-    let tied = sql(
+    let tied = rows_of(
         &map,
         "SELECT l.standing, p.nth, round(l.anchor['vehicle_from_label']['x'], 3) AS x,
            round(l.anchor['vehicle_from_label']['y'], 3) AS y
@@ -856,8 +841,7 @@ fn people_who_were_missed_are_drawn_on_images_and_the_next_run_learns_from_it() 
     let mut sessions = vec!["--sessions"];
     sessions.extend(logs.iter().map(|log| text(log)));
     // The server was killed: its logs have no end.
-    let run = plan_command(text(&plan), &map, "street", &sessions).output();
-    Finished::from(run.unwrap()).expect(3);
+    run_of_site(text(&plan), &map, "street", &sessions).expect(3);
 
     let pictures = "(SELECT *, row_number() OVER (ORDER BY stamp) AS nth FROM pictures)";
     let said = format!(
@@ -872,13 +856,13 @@ fn people_who_were_missed_are_drawn_on_images_and_the_next_run_learns_from_it() 
         act(2, "drawn", 2),
         act(6, "accepted", 1)
     ]);
-    assert_eq!(sql(&map, &said), expected);
+    assert_eq!(rows_of(&map, &said), expected);
 
     let examples = format!(
         "SELECT p.nth, e.standing, e.x, e.y FROM person_examples e JOIN {pictures} p USING (session, stamp, camera)
          WHERE e.standing = 'drawn' ORDER BY p.nth"
     );
-    let examples = sql(&map, &examples);
+    let examples = rows_of(&map, &examples);
     let examples = examples.as_array().unwrap();
     let of_images: Vec<_> = examples.iter().map(|row| row["nth"].as_u64()).collect();
     assert_eq!(of_images, [Some(1), Some(2)]);
@@ -922,7 +906,7 @@ fn the_page_shows_a_map_and_answers_queries() {
     let folder = tempfile::tempdir().unwrap();
     let map = map(folder.path());
     let server = Server::start(&map, &[]);
-    let poses = sql(
+    let poses = rows_of(
         &map,
         "SELECT count(*) AS n FROM poses WHERE session = 'monday'",
     );

@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use crate::{Finished, plan_command, simulate, text};
+use crate::{Finished, run_of_site, simulate, text};
 
 /// A question in each image, about who would stand at one place ahead of the vehicle; and what answers become: labels that are
 /// tied to their images.
@@ -30,6 +30,15 @@ steps:
 write: [pictures, poses, cameras, mounts, said, label_anchors, placed_labels, person_questions]
 ";
 
+/// A street that is driven once, with few and small images.
+pub const SMALL: [&str; 5] = [
+    "length_m=80",
+    "spacing_m=10",
+    "width_px=256",
+    "height_px=83",
+    "visits=1",
+];
+
 /// A folder with the map of such a street, from one drive of at least eight images.
 pub struct AskedStreet {
     folder: tempfile::TempDir,
@@ -45,14 +54,7 @@ impl AskedStreet {
         let street = Self {
             folder: tempfile::tempdir().expect("a folder can be made"),
         };
-        let small = [
-            "length_m=80",
-            "spacing_m=10",
-            "width_px=256",
-            "height_px=83",
-            "visits=1",
-        ];
-        simulate("street", &street.path("street"), &small);
+        simulate("street", &street.path("street"), &SMALL);
         std::fs::write(street.path("asked.yaml"), PLAN).expect("a plan can be written");
         let first = street.run(&["--sessions", text(&street.log())]);
         assert!([0, 3].contains(&first.code), "{}", first.stderr);
@@ -80,7 +82,6 @@ impl AskedStreet {
     /// When the program does not start.
     pub fn run(&self, arguments: &[&str]) -> Finished {
         let (plan, map) = (self.path("asked.yaml"), self.map());
-        let run = plan_command(text(&plan), &map, "street", arguments).output();
-        run.expect("evermap starts").into()
+        run_of_site(text(&plan), &map, "street", arguments)
     }
 }

@@ -6,6 +6,7 @@
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 pub mod asked;
+pub mod json_log;
 pub mod kitti;
 pub mod odometry;
 pub mod park;
@@ -20,6 +21,9 @@ use std::process::{Command, Output, Stdio};
 use std::time::{Duration, SystemTime};
 
 pub use evermap_test_data::shared;
+use serde_json::{Value, json};
+
+use crate::json_log::JsonLog;
 
 /// The repository.
 pub fn repository() -> &'static Path {
@@ -78,7 +82,7 @@ impl Finished {
     ///
     /// # Panics
     /// Where it is none.
-    pub fn json(&self) -> serde_json::Value {
+    pub fn json(&self) -> Value {
         serde_json::from_str(&self.stdout)
             .unwrap_or_else(|error| panic!("{error}: {}", self.stdout))
     }
@@ -126,12 +130,65 @@ pub fn evermap(arguments: &[&str]) -> Finished {
     command(arguments).output().expect("evermap starts").into()
 }
 
+/// `evermap run` of a plan, not yet started.
+fn run_command(plan: &str, map: &Path) -> Command {
+    command(&["run", plan, "--map", text(map), "--progress", "none"])
+}
+
 /// `evermap run` of a plan on sessions of one site, not yet started.
 pub fn plan_command(plan: &str, map: &Path, site: &str, more: &[&str]) -> Command {
-    let map = text(map);
-    let mut run = command(&["run", plan, "--map", map, "--progress", "none", "--site"]);
-    run.arg(site).args(more);
+    let mut run = run_command(plan, map);
+    run.args(["--site", site]).args(more);
     run
+}
+
+/// Runs a plan on sessions of one site to its end.
+///
+/// # Panics
+/// When the program does not start.
+pub fn run_of_site(plan: &str, map: &Path, site: &str, more: &[&str]) -> Finished {
+    let run = plan_command(plan, map, site, more).output();
+    run.expect("evermap starts").into()
+}
+
+/// Runs a plan on sessions, each a site of its own, to its end.
+///
+/// # Panics
+/// When the program does not start.
+pub fn run(plan: &str, map: &Path, sessions: &[&Path], more: &[&str]) -> Finished {
+    let mut run = run_command(plan, map);
+    run.arg("--sessions").args(sessions).args(more);
+    run.output().expect("evermap starts").into()
+}
+
+/// The rows that a query of a map has, as JSON.
+///
+/// # Panics
+/// Where the query fails.
+pub fn rows_of(map: &Path, query: &str) -> Value {
+    answered(["--map", text(map)], query)
+}
+
+/// The rows that a query of a log has, as JSON.
+///
+/// # Panics
+/// Where the query fails.
+pub fn rows_of_log(log: &Path, query: &str) -> Value {
+    answered(["--sessions", text(log)], query)
+}
+
+fn answered([option, path]: [&str; 2], query: &str) -> Value {
+    let asked = ["sql", option, path, "--format", "json", query];
+    evermap(&asked).expect(0).json()
+}
+
+/// The layers of a map, as `evermap layers` lists them.
+///
+/// # Panics
+/// Where they cannot be listed.
+pub fn layers_of(map: &Path) -> Value {
+    let listed = evermap(&["layers", "--map", text(map), "--format", "json"]);
+    listed.expect(0).json()
 }
 
 /// Simulates a world, with these settings.
@@ -207,20 +264,10 @@ pub type DrivePose = (f64, f64, f64, f64);
 /// # Panics
 /// When the file cannot be written.
 pub fn write_nothing(path: &Path, topic: &str, (schema, text): (&str, &[u8])) {
-    let file = std::fs::File::create(path).expect("a session can be made");
-    let mut log = mcap::Writer::new(file).expect("an MCAP file begins");
-    let schema = log.add_schema(schema, "jsonschema", text);
-    let schema = schema.expect("a schema fits");
-    let channel = log.add_channel(schema, topic, "json", &Default::default());
-    let header = mcap::records::MessageHeader {
-        channel_id: channel.expect("a channel fits"),
-        sequence: 0,
-        log_time: 1,
-        publish_time: 1,
-    };
-    log.write_to_known_channel(&header, b"{}")
-        .expect("a message fits");
-    log.finish().expect("an MCAP file ends");
+    let mut log = JsonLog::new(path);
+    let topic = log.topic(topic, schema, text);
+    log.send(topic, 0, 1, &json!({}));
+    log.finish();
 }
 
 /// Writes a session with nothing but odometry (`/odom`, foxglove.PoseInFrame as JSON).
@@ -236,17 +283,11 @@ pub fn write_drive(path: &Path, poses: impl IntoIterator<Item = DrivePose>) {
 /// # Panics
 /// When the file cannot be written.
 pub fn write_drive_with(path: &Path, poses: impl IntoIterator<Item = DrivePose>, attached: &[u8]) {
-    let file = std::io::BufWriter::new(std::fs::File::create(path).expect("a session can be made"));
-    let mut writer = mcap::Writer::new(file).expect("an MCAP file begins");
-    let schema = writer
-        .add_schema("foxglove.PoseInFrame", "jsonschema", POSE_SCHEMA.as_bytes())
-        .expect("a schema fits");
-    let channel = writer
-        .add_channel(schema, "/odom", "json", &Default::default())
-        .expect("a channel fits");
+    let mut log = JsonLog::new(path);
+    let odometry = log.topic("/odom", "foxglove.PoseInFrame", POSE_SCHEMA.as_bytes());
     for (sequence, (seconds, x, y, yaw)) in poses.into_iter().enumerate() {
         let nanoseconds = 1_700_000_000_000_000_000 + (seconds * 1e9) as u64;
-        let message = serde_json::json!({
+        let message = json!({
             "timestamp": { "sec": nanoseconds / 1_000_000_000, "nsec": nanoseconds % 1_000_000_000 },
             "frame_id": "odom",
             "pose": {
@@ -254,15 +295,7 @@ pub fn write_drive_with(path: &Path, poses: impl IntoIterator<Item = DrivePose>,
                 "orientation": { "x": 0.0, "y": 0.0, "z": (yaw / 2.0).sin(), "w": (yaw / 2.0).cos() },
             },
         });
-        let header = mcap::records::MessageHeader {
-            channel_id: channel,
-            sequence: sequence as u32,
-            log_time: nanoseconds,
-            publish_time: nanoseconds,
-        };
-        writer
-            .write_to_known_channel(&header, message.to_string().as_bytes())
-            .expect("a message fits");
+        log.send(odometry, sequence as u32, nanoseconds, &message);
     }
     if !attached.is_empty() {
         let attachment = mcap::Attachment {
@@ -272,9 +305,9 @@ pub fn write_drive_with(path: &Path, poses: impl IntoIterator<Item = DrivePose>,
             media_type: "application/octet-stream".to_owned(),
             data: attached.into(),
         };
-        writer.attach(&attachment).expect("an attachment fits");
+        log.0.attach(&attachment).expect("an attachment fits");
     }
-    writer.finish().expect("an MCAP file ends");
+    log.finish();
 }
 
 pub(crate) const POSE_SCHEMA: &str = r#"{

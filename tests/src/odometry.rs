@@ -7,8 +7,9 @@ use evermap_algorithms::geometry::pose::Pose;
 use evermap_algorithms::geometry::trajectory::StampedPose;
 use serde_json::{Value, json};
 
+use crate::json_log::JsonLog;
 use crate::trajectories::pose;
-use crate::{POSE_SCHEMA, evermap, text};
+use crate::{POSE_SCHEMA, rows_of_log};
 
 /// How a log tells where the vehicle is.
 #[derive(Debug, Clone, Copy)]
@@ -25,9 +26,7 @@ pub enum Told {
 /// Where it cannot be read.
 pub fn odometry(log: &Path) -> Vec<StampedPose> {
     let sql = "SELECT CAST(stamp AS BIGINT) AS stamp_ns, odom_from_vehicle AS pose FROM odometry ORDER BY stamp";
-    let rows = evermap(&["sql", "--sessions", text(log), "--format", "json", sql])
-        .expect(0)
-        .json();
+    let rows = rows_of_log(log, sql);
     let rows = rows.as_array().expect("rows are a list");
     let row = |row: &Value| StampedPose {
         stamp_ns: row["stamp_ns"].as_i64().expect("a stamp is a number"),
@@ -42,44 +41,30 @@ pub fn odometry(log: &Path) -> Vec<StampedPose> {
 /// Where one cannot be read or the other not be written.
 pub fn with_odometry(source: &Path, target: &Path, poses: &[StampedPose], told: Told) {
     let bytes = std::fs::read(source).expect("a log can be read");
-    let file = std::fs::File::create(target).expect("a log can be made");
-    let mut writer = mcap::Writer::new(std::io::BufWriter::new(file)).expect("a log begins");
+    let mut log = JsonLog::new(target);
     let (topic, schema, definition) = match told {
         Told::Poses => ("/odom", "foxglove.PoseInFrame", POSE_SCHEMA),
         Told::Transforms => ("/tf", "foxglove.FrameTransform", TRANSFORM_SCHEMA),
     };
-    let schema = writer
-        .add_schema(schema, "jsonschema", definition.as_bytes())
-        .expect("a schema fits");
-    let channel = writer
-        .add_channel(schema, topic, "json", &Default::default())
-        .expect("a channel fits");
+    let topic = log.topic(topic, schema, definition.as_bytes());
     let mut channels = BTreeMap::new();
     let mut sequence = 0;
-    let mut send = |writer: &mut mcap::Writer<_>, stamp_ns: i64, message: &Value| {
-        let header = mcap::records::MessageHeader {
-            channel_id: channel,
-            sequence,
-            log_time: stamp_ns as u64,
-            publish_time: stamp_ns as u64,
-        };
+    let mut send = |log: &mut JsonLog, stamp_ns: i64, message: &Value| {
+        log.send(topic, sequence, stamp_ns as u64, message);
         sequence += 1;
-        let payload = message.to_string();
-        let written = writer.write_to_known_channel(&header, payload.as_bytes());
-        written.expect("a message fits");
     };
     let mut poses = poses.iter().peekable();
     for message in mcap::MessageStream::new(&bytes).expect("a log is MCAP") {
         let message = message.expect("a log is whole");
         while let Some(next) = poses.next_if(|next| next.stamp_ns as u64 <= message.log_time) {
             match told {
-                Told::Poses => send(&mut writer, next.stamp_ns, &pose_message(next)),
+                Told::Poses => send(&mut log, next.stamp_ns, &pose_message(next)),
                 Told::Transforms => {
                     let wheel = Pose::from_yaw(1.0, 0.8, 0.0);
                     let wheel = transform_message(next.stamp_ns, ["base_link", "wheel"], &wheel);
-                    send(&mut writer, next.stamp_ns, &wheel);
+                    send(&mut log, next.stamp_ns, &wheel);
                     let odom = transform_message(next.stamp_ns, ["odom", "base_link"], &next.pose);
-                    send(&mut writer, next.stamp_ns, &odom);
+                    send(&mut log, next.stamp_ns, &odom);
                 }
             }
         }
@@ -87,10 +72,12 @@ pub fn with_odometry(source: &Path, target: &Path, poses: &[StampedPose], told: 
             let of = &message.channel;
             let copied = channels.entry(of.id).or_insert_with(|| {
                 let schema = of.schema.as_ref().expect("messages have a schema");
-                let schema = writer.add_schema(&schema.name, &schema.encoding, &schema.data);
+                let schema = log
+                    .0
+                    .add_schema(&schema.name, &schema.encoding, &schema.data);
                 let schema = schema.expect("a schema fits");
                 let encoding = &of.message_encoding;
-                let channel = writer.add_channel(schema, &of.topic, encoding, &of.metadata);
+                let channel = log.0.add_channel(schema, &of.topic, encoding, &of.metadata);
                 channel.expect("a channel fits")
             });
             let header = mcap::records::MessageHeader {
@@ -99,11 +86,11 @@ pub fn with_odometry(source: &Path, target: &Path, poses: &[StampedPose], told: 
                 log_time: message.log_time,
                 publish_time: message.publish_time,
             };
-            let written = writer.write_to_known_channel(&header, &message.data);
+            let written = log.0.write_to_known_channel(&header, &message.data);
             written.expect("a message fits");
         }
     }
-    writer.finish().expect("a log ends");
+    log.finish();
 }
 
 fn stamp(stamp_ns: i64) -> Value {

@@ -6,7 +6,7 @@ use std::path::Path;
 use serde_json::{Value, json};
 
 use crate::server::{Server, script};
-use crate::{Finished, evermap, text};
+use crate::{Finished, evermap, rows_of, text};
 
 /// Layers whose rows a recording has, where the map has the layer.
 const LAYERS: [&str; 4] = ["lanes", "parking_spaces", "placed_labels", "landmarks"];
@@ -16,11 +16,8 @@ const LAYERS: [&str; 4] = ["lanes", "parking_spaces", "placed_labels", "landmark
 /// # Panics
 /// Where they do not.
 pub fn is_read_as_the_map_says(map: &Path, folder: &Path) {
-    let sql = |query: &str| -> Vec<Value> {
-        let answer = evermap(&["sql", "--map", text(map), "--format", "json", query]);
-        let rows = answer.expect(0).json();
-        rows.as_array().cloned().unwrap_or_default()
-    };
+    let sql =
+        |query: &str| -> Vec<Value> { rows_of(map, query).as_array().cloned().unwrap_or_default() };
     let poses = sql(
         "SELECT session, CAST(stamp AS BIGINT) AS stamp, map_from_vehicle['x'] AS x, map_from_vehicle['y'] AS y FROM poses",
     );

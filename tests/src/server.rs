@@ -5,9 +5,7 @@ use std::net::TcpStream;
 use std::path::{Path, PathBuf};
 use std::process::{Child, ChildStderr, Command, Stdio};
 
-use crate::{
-    Finished, command, memory, plan_command, python, rectangle, repository, text, write_drive,
-};
+use crate::{command, memory, python, rectangle, repository, run_of_site, text, write_drive};
 
 /// A server of a map, stopped when it is dropped.
 pub struct Server {
@@ -106,8 +104,7 @@ pub fn map(folder: &Path) -> PathBuf {
 pub fn drive(folder: &Path, map: &Path, day: &str, width_m: f64) {
     let log = folder.join(format!("{day}.mcap"));
     write_drive(&log, rectangle(width_m, 20.0, 1.0));
-    let ended = plan_command("trajectory", map, "lot", &["--sessions", text(&log)]).output();
-    Finished::from(ended.unwrap()).expect(0);
+    run_of_site("trajectory", map, "lot", &["--sessions", text(&log)]).expect(0);
 }
 
 /// A Python script beside the tests, with the programs that people have; `None` where they are not installed.

@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use evermap_tests::{evermap, text, write_drive};
+use evermap_tests::{rows_of, run, write_drive};
 use serde_json::Value;
 
 use crate::world;
@@ -81,19 +81,8 @@ fn lanes_of_true_poses_follow_the_aisles() {
         true_session(&world, folder.path()),
         folder.path().join("map"),
     );
-    evermap(&[
-        "run",
-        "trajectory",
-        "--map",
-        text(&map),
-        "--sessions",
-        text(&session),
-    ])
-    .expect(0);
-    let query = "SELECT points FROM lanes";
-    let lanes = evermap(&["sql", "--map", text(&map), "--format", "json", query])
-        .expect(0)
-        .json();
+    run("trajectory", &map, &[&session], &[]).expect(0);
+    let lanes = rows_of(&map, "SELECT points FROM lanes");
     let aisles = aisles(&world);
     let mut points = Vec::new();
     for lane in lanes.as_array().unwrap() {

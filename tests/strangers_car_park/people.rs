@@ -7,7 +7,7 @@ use evermap_algorithms::geometry::trajectory::StampedPose;
 use evermap_messages::annotation::{Anchor, Annotation, Geometry};
 use evermap_recording::annotations::AnnotationLog;
 use evermap_tests::trajectories::{rows, truth};
-use evermap_tests::{Finished, evermap, plan_command, text};
+use evermap_tests::{evermap, run_of_site, text};
 use serde_json::Value;
 
 use crate::{session, world};
@@ -110,8 +110,7 @@ fn it_is_driven_slowly_where_people_walk() {
     let logs = SESSIONS.map(|name| session(&world, name));
     let mut arguments = vec!["--sessions"];
     arguments.extend(logs.iter().map(|log| text(log)));
-    let ended = plan_command(text(&plan), &map, "park", &arguments).output();
-    let ended: Finished = ended.unwrap().into();
+    let ended = run_of_site(text(&plan), &map, "park", &arguments);
     assert!([0, 3].contains(&ended.code), "{}", ended.stderr);
 
     // What was found there: the cells where anybody stood were looked at, and nobody else's were.
@@ -293,8 +292,7 @@ fn looked_at(world: &Path, visits: &[(&str, usize)]) -> String {
 fn run(plan: &Path, map: &Path, logs: &[PathBuf]) {
     let mut arguments = vec!["--sessions"];
     arguments.extend(logs.iter().map(|log| text(log)));
-    let ended = plan_command(text(plan), map, "park", &arguments).output();
-    let ended: Finished = ended.unwrap().into();
+    let ended = run_of_site(text(plan), map, "park", &arguments);
     assert!([0, 3].contains(&ended.code), "{}", ended.stderr);
 }
 

@@ -3,84 +3,28 @@
 
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
 use evermap_messages::MessageType;
+use evermap_messages::ros2::{Message, Odometry};
 use std::hint::black_box;
 
 const MESSAGES: usize = 100_000;
 /// Rows in one batch.
 const BATCH: usize = 8_192;
 
-const ODOMETRY: &str = "\
-std_msgs/Header header
-string child_frame_id
-geometry_msgs/PoseWithCovariance pose
-geometry_msgs/TwistWithCovariance twist
-================================================================================
-MSG: std_msgs/Header
-builtin_interfaces/Time stamp
-string frame_id
-================================================================================
-MSG: builtin_interfaces/Time
-int32 sec
-uint32 nanosec
-================================================================================
-MSG: geometry_msgs/PoseWithCovariance
-Pose pose
-float64[36] covariance
-================================================================================
-MSG: geometry_msgs/Pose
-Point position
-Quaternion orientation
-================================================================================
-MSG: geometry_msgs/Point
-float64 x
-float64 y
-float64 z
-================================================================================
-MSG: geometry_msgs/Quaternion
-float64 x
-float64 y
-float64 z
-float64 w
-================================================================================
-MSG: geometry_msgs/TwistWithCovariance
-Twist twist
-float64[36] covariance
-================================================================================
-MSG: geometry_msgs/Twist
-Vector3 linear
-Vector3 angular
-================================================================================
-MSG: geometry_msgs/Vector3
-float64 x
-float64 y
-float64 z
-";
-
 fn payload(index: usize) -> Vec<u8> {
-    let mut p = vec![0, 1, 0, 0];
-    p.extend((index as i32).to_le_bytes());
-    p.extend(500_u32.to_le_bytes());
-    p.extend(5_u32.to_le_bytes());
-    p.extend(b"odom\0\0\0\0");
-    p.extend(10_u32.to_le_bytes());
-    p.extend(b"base_link\0");
-    while !(p.len() - 4).is_multiple_of(8) {
-        p.push(0);
-    }
-    for value in 0..(7 + 36 + 6 + 36) {
-        p.extend((value as f64 + index as f64).to_le_bytes());
-    }
-    p
+    let value = index as f64;
+    let message = Odometry {
+        stamp_ns: 1_000_000_000 * index as u64 + 500,
+        pose: [value; 7],
+        pose_variances: [value; 6],
+        twist: [value; 6],
+        twist_variances: [value; 6],
+    };
+    message.encode()
 }
 
 fn decode(c: &mut Criterion) {
-    let message = MessageType::parse(
-        "cdr",
-        "ros2msg",
-        "nav_msgs/msg/Odometry",
-        ODOMETRY.as_bytes(),
-    )
-    .unwrap();
+    let definition = Odometry::DEFINITION.as_bytes();
+    let message = MessageType::parse("cdr", "ros2msg", Odometry::NAME, definition).unwrap();
     let payloads: Vec<Vec<u8>> = (0..MESSAGES).map(payload).collect();
     let mut group = c.benchmark_group("odometry");
     group.throughput(Throughput::Elements(MESSAGES as u64));

@@ -310,10 +310,7 @@ fn find_image(
             None => block.file_offset + within,
         },
         length: bytes.len() as u64,
-        format: String::new(),
-        width: None,
-        height: None,
-        step: None,
+        ..ImageRef::default()
     };
     Ok(FoundImage { place, magic })
 }

@@ -116,17 +116,9 @@ fn jpeg(channels: jpeg_encoder::ColorType) -> Vec<u8> {
 fn reference(length: usize) -> ImageRef {
     ImageRef {
         session: "a".into(),
-        part: 0,
-        chunk: None,
-        chunk_length: 0,
-        chunk_size: 0,
-        compression: String::new(),
-        offset: 0,
         length: length as u64,
         format: "jpeg".into(),
-        width: None,
-        height: None,
-        step: None,
+        ..ImageRef::default()
     }
 }
 

@@ -112,17 +112,10 @@ mod tests {
     fn keyframe(stamp: i64, later: i64, offset: u64) -> Keyframe {
         let image = ImageRef {
             session: "a".into(),
-            part: 0,
-            chunk: None,
-            chunk_length: 0,
-            chunk_size: 0,
-            compression: String::new(),
             offset,
             length: 1,
             format: "jpeg".into(),
-            width: None,
-            height: None,
-            step: None,
+            ..ImageRef::default()
         };
         Keyframe {
             site: "lot".into(),

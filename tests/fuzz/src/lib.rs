@@ -132,17 +132,7 @@ fn image(bytes: &[u8]) -> FoundImage {
     FoundImage {
         place: ImageRef {
             session: "session".to_owned(),
-            part: 0,
-            chunk: None,
-            chunk_length: 0,
-            chunk_size: 0,
-            compression: String::new(),
-            offset: 0,
-            length: 0,
-            format: String::new(),
-            width: None,
-            height: None,
-            step: None,
+            ..ImageRef::default()
         },
         magic: bytes.last_chunk().copied().unwrap_or_default(),
     }

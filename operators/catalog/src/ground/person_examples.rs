@@ -263,17 +263,9 @@ mod tests {
     fn answers_about_an_image_that_is_not_there_are_counted() {
         let there = ImageRef {
             session: "a".into(),
-            part: 0,
-            chunk: None,
-            chunk_length: 0,
-            chunk_size: 0,
-            compression: String::new(),
-            offset: 0,
             length: 1,
             format: "jpeg".into(),
-            width: None,
-            height: None,
-            step: None,
+            ..ImageRef::default()
         };
         let images = vec![image("front", Some(there)), image("right", None)];
         let labels = [("one", "right"), ("two", "right"), ("three", "front")];

@@ -32,7 +32,6 @@ fn odometry(stamp: i64, x: f64) -> OdometryPose {
 fn frame(camera: &str, stamp: i64) -> Frame {
     let image = ImageRef {
         session: "a".into(),
-        part: 0,
         chunk: Some(1),
         chunk_length: 2,
         chunk_size: 3,
@@ -40,9 +39,7 @@ fn frame(camera: &str, stamp: i64) -> Frame {
         offset: stamp.unsigned_abs(),
         length: 5,
         format: "jpeg".into(),
-        width: None,
-        height: None,
-        step: None,
+        ..ImageRef::default()
     };
     Frame {
         site: "s".into(),

@@ -62,17 +62,8 @@ fn read_with_bits(
     ]);
     let place = ImageRef {
         session: "a".to_owned(),
-        part: 0,
-        chunk: None,
-        chunk_length: 0,
-        chunk_size: 0,
-        compression: String::new(),
-        offset: 0,
         length: 1,
-        format: String::new(),
-        width: None,
-        height: None,
-        step: None,
+        ..ImageRef::default()
     };
     let frames = Frame::from_message(&Message {
         site: "lot",

@@ -3,25 +3,12 @@ use super::*;
 use crate::solving::random::SplitMix64;
 use nalgebra::{UnitQuaternion, Vector6};
 use proptest::prelude::*;
-use std::f64::consts::{FRAC_PI_2, TAU};
+use std::f64::consts::FRAC_PI_2;
 
 const SIGMA_RAD: f64 = 0.006;
 
-struct Noise(SplitMix64);
-
-impl Noise {
-    fn uniform(&mut self) -> f64 {
-        self.0.unit()
-    }
-
-    fn normal(&mut self) -> f64 {
-        let (u, v) = (1.0 - self.uniform(), self.uniform());
-        (-2.0 * u.ln()).sqrt() * (TAU * v).cos()
-    }
-
-    fn vector(&mut self) -> Vector3<f64> {
-        Vector3::new(self.normal(), self.normal(), self.normal())
-    }
+fn vector(noise: &mut SplitMix64) -> Vector3<f64> {
+    Vector3::new(noise.normal(), noise.normal(), noise.normal())
 }
 
 /// Four cameras that look around, or one.
@@ -43,27 +30,27 @@ struct Scene {
 
 /// `good` true correspondences and then `bad` false ones. Points along one direction are known less well.
 fn scene(cameras: usize, good: usize, bad: usize, depth_sigma_m: f64, seed: u64) -> Scene {
-    let mut noise = Noise(SplitMix64(seed));
+    let mut noise = SplitMix64(seed);
     let rig = rig(cameras);
-    let turn = UnitQuaternion::from_scaled_axis(noise.vector() * 0.5);
-    let truth = Pose::new(noise.vector() * 2.0, turn);
+    let turn = UnitQuaternion::from_scaled_axis(vector(&mut noise) * 0.5);
+    let truth = Pose::new(vector(&mut noise) * 2.0, turn);
     let mut given = Vec::new();
     while given.len() < good + bad {
-        let camera = noise.0.below(cameras);
+        let camera = noise.below(cameras);
         // Anything that the camera's half space holds.
-        let mut bearing = noise.vector().normalize();
+        let mut bearing = vector(&mut noise).normalize();
         bearing.z = bearing.z.abs();
-        let range = 2.0 + 10.0 * noise.uniform();
+        let range = 2.0 + 10.0 * noise.unit();
         let point = truth.compose(&rig[camera]).transform(&(bearing * range));
-        let depth = noise.vector().normalize();
+        let depth = vector(&mut noise).normalize();
         let seen = if given.len() < good {
-            let beside = bearing.cross(&noise.vector().normalize()).normalize();
+            let beside = bearing.cross(&vector(&mut noise).normalize()).normalize();
             (bearing
                 + beside * (SIGMA_RAD * noise.normal())
                 + beside.cross(&bearing) * (SIGMA_RAD * noise.normal()))
             .normalize()
         } else {
-            let mut other = noise.vector().normalize();
+            let mut other = vector(&mut noise).normalize();
             other.z = other.z.abs();
             other
         };
@@ -73,7 +60,7 @@ fn scene(cameras: usize, good: usize, bad: usize, depth_sigma_m: f64, seed: u64)
             sigma_rad: SIGMA_RAD,
             point: point + depth * (depth_sigma_m * noise.normal()),
             point_covariance: depth * depth.transpose() * depth_sigma_m.powi(2),
-            quality: noise.uniform() + if given.len() < good { 0.2 } else { 0.0 },
+            quality: noise.unit() + if given.len() < good { 0.2 } else { 0.0 },
         });
     }
     Scene { rig, truth, given }

@@ -118,7 +118,7 @@ impl GroundBox {
                 polygon = clipped(&polygon, |point| half - sign * point[axis]);
             }
         }
-        area_m2(&polygon)
+        area(&polygon)
     }
 }
 
@@ -139,7 +139,8 @@ fn clipped(polygon: &[[f64; 2]], inside: impl Fn(&[f64; 2]) -> f64) -> Vec<[f64;
     kept
 }
 
-fn area_m2(polygon: &[[f64; 2]]) -> f64 {
+/// The area that a polygon encloses: in m² where its corners are in metres.
+pub fn area(polygon: &[[f64; 2]]) -> f64 {
     let next = polygon.iter().cycle().skip(1);
     let twice = polygon
         .iter()

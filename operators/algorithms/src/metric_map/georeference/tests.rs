@@ -1,6 +1,4 @@
 #![allow(clippy::unwrap_used)]
-use std::f64::consts::TAU;
-
 use nalgebra::Vector3;
 
 use super::*;
@@ -28,10 +26,6 @@ const PERFECT: Receiver = Receiver {
     outage_s: [0.0, 0.0],
 };
 
-fn normal(random: &mut SplitMix64) -> f64 {
-    (-2.0 * (1.0 - random.unit()).ln()).sqrt() * (TAU * random.unit()).cos()
-}
-
 /// Fixes of drives of 300 m around a corner at 5 m/s, five a second; `heading` is the map's.
 fn drive(receiver: Receiver, sessions: usize, heading: f64, seed: u64) -> Vec<AntennaFix> {
     let mut random = SplitMix64(seed);
@@ -39,13 +33,13 @@ fn drive(receiver: Receiver, sessions: usize, heading: f64, seed: u64) -> Vec<An
     let turn = Rotation2::new(heading);
     let mut fixes = Vec::new();
     for session in 0..sessions {
-        let mut drift = Vector3::from_fn(|_, _| receiver.drift_m * normal(&mut random));
+        let mut drift = Vector3::from_fn(|_, _| receiver.drift_m * random.normal());
         for step in 0..300 {
             let seconds = 0.2 * f64::from(step);
             let kept = (-0.2 / receiver.drift_s).exp();
             let fresh = receiver.drift_m * (1.0 - kept * kept).sqrt();
-            drift = kept * drift + Vector3::from_fn(|_, _| fresh * normal(&mut random));
-            let white = Vector3::from_fn(|_, _| receiver.noise_m * normal(&mut random));
+            drift = kept * drift + Vector3::from_fn(|_, _| fresh * random.normal());
+            let white = Vector3::from_fn(|_, _| receiver.noise_m * random.normal());
             if seconds >= receiver.outage_s[0] && seconds < receiver.outage_s[1] {
                 continue;
             }

@@ -4,6 +4,7 @@ use crate::geometry::camera::{Camera, KannalaBrandt, Model};
 use crate::geometry::pose::Pose;
 use crate::geometry::rig::{Rig, RigCamera};
 use crate::metric_map::features::{Descriptor, Feature, ImageFeatures, KeyframeFeatures};
+use crate::solving::random::SplitMix64;
 use nalgebra::{UnitQuaternion, Vector3};
 use proptest::prelude::*;
 use std::borrow::Cow;
@@ -12,18 +13,11 @@ use std::convert::Infallible;
 use std::f64::consts::{FRAC_PI_2, TAU};
 
 /// Numbers that look random.
-struct Noise(u64);
+struct Noise(SplitMix64);
 
 impl Noise {
-    fn bits(&mut self) -> u64 {
-        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
-        let z = (self.0 ^ (self.0 >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-        let z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-        z ^ (z >> 31)
-    }
-
     fn uniform(&mut self, low: f64, high: f64) -> f64 {
-        low + (high - low) * (self.bits() >> 11) as f64 / (1_u64 << 53) as f64
+        low + (high - low) * self.0.unit()
     }
 
     fn normal(&mut self) -> f64 {
@@ -33,7 +27,7 @@ impl Noise {
     fn descriptor(&mut self) -> Descriptor {
         let mut bytes = [0; 64];
         for eight in bytes.chunks_exact_mut(8) {
-            eight.copy_from_slice(&self.bits().to_le_bytes());
+            eight.copy_from_slice(&self.0.next().to_le_bytes());
         }
         Descriptor(bytes)
     }
@@ -42,7 +36,7 @@ impl Noise {
     fn again(&mut self, descriptor: &Descriptor, flips: usize) -> Descriptor {
         let mut again = *descriptor;
         for _ in 0..flips {
-            let bit = (self.bits() % 512) as usize;
+            let bit = (self.0.next() % 512) as usize;
             again.0[bit / 8] ^= 1 << (bit % 8);
         }
         again
@@ -223,7 +217,7 @@ fn off(found: &Loop, drives: &[&Simulated]) -> (f64, f64) {
 
 #[test]
 fn a_second_round_and_another_drive_are_recognised() {
-    let mut noise = Noise(5);
+    let mut noise = Noise(SplitMix64(5));
     let world = World::new(&mut noise);
     let rig = rig();
     let first = drive(&world, 1.8, 0.0, false, &mut noise);
@@ -266,7 +260,7 @@ fn a_second_round_and_another_drive_are_recognised() {
 
 #[test]
 fn another_place_is_none() {
-    let mut noise = Noise(6);
+    let mut noise = Noise(SplitMix64(6));
     let rig = rig();
     let [here, there] = [World::new(&mut noise), World::new(&mut noise)];
     let first = drive(&here, 0.6, 0.0, false, &mut noise);
@@ -311,7 +305,7 @@ fn nothing_is_found_in_nothing() {
 
 #[test]
 fn features_that_are_fetched_when_they_are_looked_at_give_the_same_loops() {
-    let mut noise = Noise(7);
+    let mut noise = Noise(SplitMix64(7));
     let world = World::new(&mut noise);
     let rig = rig();
     let driven = drive(&world, 1.2, 0.0, false, &mut noise);
@@ -330,7 +324,7 @@ fn features_that_are_fetched_when_they_are_looked_at_give_the_same_loops() {
 
 #[test]
 fn the_vocabulary_of_documents_is_that_of_all_their_descriptors() {
-    let mut noise = Noise(8);
+    let mut noise = Noise(SplitMix64(8));
     let counts = [3, 0, 7, 1, 1, 20, 2];
     let features: Vec<KeyframeFeatures> = counts
         .iter()
@@ -376,7 +370,7 @@ proptest! {
     #![proptest_config(ProptestConfig::with_cases(20))]
     #[test]
     fn a_word_is_kept_by_what_looks_alike(seed in any::<u64>()) {
-        let mut noise = Noise(seed);
+        let mut noise = Noise(SplitMix64(seed));
         let originals: Vec<Descriptor> = (0..40).map(|_| noise.descriptor()).collect();
         let seen: Vec<Descriptor> = (0..1200).map(|i| noise.again(&originals[i % 40], 20)).collect();
         let vocabulary = Vocabulary::train(seen.iter(), &VocabularyOptions::default());

@@ -2,11 +2,12 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
+use evermap_algorithms::ground::boxes::area;
 use evermap_schemas::Fault;
 use serde_json::{Value, json};
 
 use super::described::{Canvas, Described, OF_ANOTHER, which_are};
-use super::{Drawn, NAME, Pixel, Rectangle, Said, Shape, both, kinds, numbers};
+use super::{Drawn, NAME, Rectangle, Said, Shape, both, kinds, numbers};
 use crate::annotate::Losses;
 use crate::annotate::geojson::text;
 use crate::annotate::mosaic::Picture;
@@ -152,15 +153,4 @@ pub(super) fn write(drawn: &[Drawn], picture: &Picture) -> String {
         "annotations": annotations,
     });
     format!("{whole:#}\n")
-}
-
-/// Pixels within an outline.
-fn area(points: &[Pixel]) -> f64 {
-    let next = points.iter().cycle().skip(1);
-    let twice: f64 = points
-        .iter()
-        .zip(next)
-        .map(|(a, b)| a[0] * b[1] - a[1] * b[0])
-        .sum();
-    twice.abs() / 2.0
 }

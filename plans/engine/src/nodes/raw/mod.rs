@@ -187,18 +187,11 @@ mod tests {
 
     pub fn raw(format: &str, width: u32, height: u32, step: u32) -> ImageRef {
         ImageRef {
-            session: String::new(),
-            part: 0,
-            chunk: None,
-            chunk_length: 0,
-            chunk_size: 0,
-            compression: String::new(),
-            offset: 0,
-            length: 0,
             format: format.into(),
             width: Some(width),
             height: Some(height),
             step: Some(step),
+            ..ImageRef::default()
         }
     }
 

@@ -14,29 +14,11 @@ use super::*;
 use crate::geometry::camera::tests::wide_fisheye;
 use crate::geometry::lie::se3;
 use crate::geometry::rig::RigCamera;
+use crate::solving::random::SplitMix64;
 
-/// A small fixed-increment generator: the tests need numbers, not a library.
-pub(crate) struct Noise(u64);
-
-impl Noise {
-    pub(crate) fn new(seed: u64) -> Self {
-        Self(seed.wrapping_mul(0x9e37_79b9_7f4a_7c15) | 1)
-    }
-
-    /// Uniform in [0, 1).
-    pub(super) fn uniform(&mut self) -> f64 {
-        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
-        let mut z = self.0;
-        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-        ((z ^ (z >> 31)) >> 11) as f64 / (1u64 << 53) as f64
-    }
-
-    /// Gaussian, standard deviation 1.
-    pub(crate) fn normal(&mut self) -> f64 {
-        let radius = (-2.0 * (1.0 - self.uniform()).ln()).sqrt();
-        radius * (2.0 * PI * self.uniform()).cos()
-    }
+/// Random numbers that follow from a seed, and not from the next seed's.
+pub(super) fn noise(seed: u64) -> SplitMix64 {
+    SplitMix64(seed.wrapping_mul(0x9e37_79b9_7f4a_7c15) | 1)
 }
 
 /// Four fisheyes that look ahead, left, back and right.
@@ -65,13 +47,13 @@ pub(super) fn four_fisheyes() -> Rig {
 /// A drive around a room with points on the walls and the floor, and everything exact.
 pub(super) struct Drive {
     pub(super) truth: Problem,
-    pub(super) noise: Noise,
+    pub(super) noise: SplitMix64,
 }
 
 impl Drive {
     /// `steps` keyframes on a closed round of radius 8 m over a slightly inclined floor.
     pub(super) fn new(steps: usize, landmarks: usize, seed: u64) -> Self {
-        let mut noise = Noise::new(seed);
+        let mut noise = noise(seed);
         let poses = (0..steps).map(|step| {
             let angle = 2.0 * PI * step as f64 / steps as f64;
             let flat = Pose::from_yaw(8.0 * angle.cos(), 8.0 * angle.sin(), angle + FRAC_PI_2);
@@ -89,8 +71,8 @@ impl Drive {
             ..Problem::default()
         };
         for _ in 0..landmarks {
-            let (angle, height) = (2.0 * PI * noise.uniform(), 3.0 * noise.uniform());
-            let radius = if noise.uniform() < 0.5 { 13.0 } else { 3.0 };
+            let (angle, height) = (2.0 * PI * noise.unit(), 3.0 * noise.unit());
+            let radius = if noise.unit() < 0.5 { 13.0 } else { 3.0 };
             let radius = radius + noise.normal();
             truth.landmarks.push(Vector3::new(
                 radius * angle.cos(),

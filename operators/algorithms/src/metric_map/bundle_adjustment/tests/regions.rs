@@ -4,11 +4,11 @@
 use nalgebra::Vector3;
 
 use super::super::*;
-use super::{Drive, Noise, four_fisheyes, odometry, options, sightings};
+use super::{Drive, four_fisheyes, noise, odometry, options, sightings};
 
 /// Drives beside each other along one winding road, a metre a step, with points at both sides.
 fn road(drives: usize, steps: usize, seed: u64) -> Drive {
-    let mut noise = Noise::new(seed);
+    let mut noise = noise(seed);
     let mut middle = Pose::identity();
     let mut path = Vec::new();
     for step in 0..steps {
@@ -32,8 +32,8 @@ fn road(drives: usize, steps: usize, seed: u64) -> Drive {
     truth.poses[0].fixed = true;
     for pose in &path {
         for side in [-1.0, 1.0, -1.0, 1.0] {
-            let across = side * (3.0 + 2.0 * noise.uniform());
-            let point = Vector3::new(noise.uniform(), across, 3.0 * noise.uniform());
+            let across = side * (3.0 + 2.0 * noise.unit());
+            let point = Vector3::new(noise.unit(), across, 3.0 * noise.unit());
             truth.landmarks.push(pose.transform(&point));
         }
     }

@@ -180,11 +180,8 @@ fn outliers_lose_their_weight() {
     let mut problem = drive.disturbed(0.3, 0.05);
     let mut false_ones = vec![false; problem.observations.len()];
     for (seen, is_false) in problem.observations.iter_mut().zip(&mut false_ones) {
-        if drive.noise.uniform() < 0.1 {
-            let (far, angle) = (
-                20.0 + 60.0 * drive.noise.uniform(),
-                6.3 * drive.noise.uniform(),
-            );
+        if drive.noise.unit() < 0.1 {
+            let (far, angle) = (20.0 + 60.0 * drive.noise.unit(), 6.3 * drive.noise.unit());
             seen.pixel = [
                 seen.pixel[0] + far * angle.cos(),
                 seen.pixel[1] + far * angle.sin(),

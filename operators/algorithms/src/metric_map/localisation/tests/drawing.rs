@@ -1,6 +1,6 @@
 //! Places that were built from one drawing.
 
-use super::world::{Imaging, Random, World};
+use super::world::{Imaging, World};
 use super::*;
 
 /// A drive of `keyframes` through one room, in the map of a room of the same drawing.
@@ -10,7 +10,7 @@ fn drive(room: &World, mapped: &World, keyframes: usize) -> Case {
         ..Imaging::default()
     };
     let mut case = Case::new(41, mapped.clone(), imaging, 1.0, 0.0);
-    let mut random = Random(42);
+    let mut random = SplitMix64(42);
     let truth = case.truth.iter().take(keyframes);
     case.features = truth
         .map(|pose| room.features(pose, &imaging, &mut random))
@@ -27,7 +27,7 @@ fn outcome(case: &Case, evidence_places: usize) -> [usize; 3] {
         ..LocalisationParams::default()
     };
     let localiser = Localiser::new(&case.world.rig, &case.map, params);
-    let told = case.told(&mut Random(43));
+    let told = case.told(&mut SplitMix64(43));
     let found = localiser.localise(&world::drive(&case.odometry, &case.features), &told);
     let doubted = |doubt: Doubt| {
         let fixes = found.iter().filter_map(|found| found.fix.as_ref());

@@ -6,8 +6,9 @@ pub(super) mod world;
 use super::*;
 use crate::geometry::pose::Pose;
 use crate::metric_map::features::{FeatureNoise, KeyframeFeatures};
+use crate::solving::random::SplitMix64;
 use std::cell::Cell;
-use world::{Imaging, Random, World};
+use world::{Imaging, World};
 
 /// Proposes what it is told, keyframe by keyframe.
 struct Told {
@@ -91,7 +92,7 @@ struct Case {
 
 impl Case {
     fn new(seed: u64, world: World, imaging: Imaging, scale: f64, changed: f64) -> Self {
-        let mut random = Random(seed);
+        let mut random = SplitMix64(seed);
         let mapped = world::oval(0.0, 0.0);
         let map = world.map(&mapped, &mut random);
         let now = world.changed(seed, changed);
@@ -111,7 +112,7 @@ impl Case {
     }
 
     /// Places are recognised to some centimetres.
-    fn told(&self, random: &mut Random) -> Told {
+    fn told(&self, random: &mut SplitMix64) -> Told {
         let near = |pose: &Pose| {
             let mut by = nalgebra::Vector6::zeros();
             by.iter_mut()
@@ -151,7 +152,7 @@ fn good(score: &Score) {
 fn a_revisit_is_localised_from_end_to_end() {
     for seed in 1..=2 {
         let case = Case::new(seed, World::new(seed, 2500), Imaging::default(), 1.01, 0.0);
-        let told = case.told(&mut Random(seed));
+        let told = case.told(&mut SplitMix64(seed));
         let found = case.localise(&told);
         let score = score(&found, &case.truth);
         good(&score);
@@ -176,7 +177,11 @@ fn much_has_changed_and_a_camera_is_dark_and_odometry_is_wrong() {
             ..Imaging::default()
         };
         let case = Case::new(seed, World::new(seed, 2500), dark, 1.05, 0.4);
-        let (_, score) = run("changed, dark, 5 %", &case, &case.told(&mut Random(seed)));
+        let (_, score) = run(
+            "changed, dark, 5 %",
+            &case,
+            &case.told(&mut SplitMix64(seed)),
+        );
         good(&score);
         assert!(score.lost <= 3, "{score:?}");
     }
@@ -189,7 +194,7 @@ fn few_landmarks_are_either_enough_or_not_used() {
         let (_, score) = run(
             &format!("{count} points"),
             &case,
-            &case.told(&mut Random(5)),
+            &case.told(&mut SplitMix64(5)),
         );
         assert!(score.max_m <= 0.5, "{score:?}");
         assert!(score.localised == 0 || score.nees < 2.5, "{score:?}");
@@ -213,7 +218,7 @@ fn a_kidnapped_vehicle_is_found_again() {
             case.odometry[index - 1].compose(&steps[if index == 45 { 43 } else { index + 19 }]);
         case.odometry.push(on);
     }
-    let (found, score) = run("kidnapped", &case, &case.told(&mut Random(7)));
+    let (found, score) = run("kidnapped", &case, &case.told(&mut SplitMix64(7)));
     good(&score);
     assert!(score.lost <= 2, "{score:?}");
     let recovered = found
@@ -229,7 +234,7 @@ fn places_that_look_alike_are_not_confused() {
         for share in [0.5, 0.8] {
             let world = World::new(seed, 2500).repeated(5.0, share);
             let case = Case::new(seed, world, Imaging::default(), 1.0, 0.3);
-            let mut told = case.told(&mut Random(seed));
+            let mut told = case.told(&mut SplitMix64(seed));
             // The place itself is proposed last, after those that look like it.
             for poses in &mut told.poses {
                 let aliases = [5.0, -5.0, 10.0].map(|off| {
@@ -250,13 +255,13 @@ fn places_that_look_alike_are_not_confused() {
 fn a_session_of_another_place_stays_lost() {
     let mut case = Case::new(11, World::new(11, 2500), Imaging::default(), 1.0, 0.0);
     let other = World::new(12, 2500);
-    let mut random = Random(3);
+    let mut random = SplitMix64(3);
     case.features = case
         .truth
         .iter()
         .map(|pose| other.features(pose, &Imaging::default(), &mut random))
         .collect();
-    let told = case.told(&mut Random(2));
+    let told = case.told(&mut SplitMix64(2));
     let (_, score) = run("another place", &case, &told);
     assert_eq!(score.localised, 0, "{score:?}");
 }
@@ -264,7 +269,7 @@ fn a_session_of_another_place_stays_lost() {
 #[test]
 fn nothing_breaks_it() {
     let case = Case::new(13, World::new(13, 500), Imaging::default(), 1.0, 0.0);
-    let told = case.told(&mut Random(1));
+    let told = case.told(&mut SplitMix64(1));
     let empty = LandmarkMap::new(Vec::new());
     let localiser = Localiser::new(&case.world.rig, &empty, LocalisationParams::default());
     let drive = world::drive(&case.odometry, &case.features);
@@ -322,7 +327,7 @@ fn among_repetitions_and_in_another_place_it_is_never_wrong() {
     }
     let mut case = Case::new(25, World::new(25, 2500), Imaging::default(), 1.0, 0.0);
     let other = World::new(26, 2500);
-    let mut random = Random(3);
+    let mut random = SplitMix64(3);
     case.features = case
         .truth
         .iter()

@@ -7,48 +7,27 @@ use crate::metric_map::features::{
     DESCRIPTOR_BYTES, Descriptor, Feature, ImageFeatures, KeyframeFeatures,
 };
 use crate::metric_map::localisation::{DriveKeyframe, LandmarkMap, MapLandmark};
+use crate::solving::random::SplitMix64;
 use nalgebra::{Matrix3, Rotation3, UnitQuaternion, Vector3};
 
-/// SplitMix64, and what is drawn from it.
-#[derive(Clone)]
-pub(in crate::metric_map::localisation) struct Random(pub(super) u64);
+/// Any descriptor.
+fn drawn_descriptor(random: &mut SplitMix64) -> Descriptor {
+    let mut bytes = [0; DESCRIPTOR_BYTES];
+    bytes.fill_with(|| random.next() as u8);
+    Descriptor(bytes)
+}
 
-impl Random {
-    pub(super) fn bits(&mut self) -> u64 {
-        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
-        let mut z = self.0;
-        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-        z ^ (z >> 31)
-    }
-
-    pub(super) fn uniform(&mut self) -> f64 {
-        (self.bits() >> 11) as f64 / (1u64 << 53) as f64
-    }
-
-    pub(super) fn normal(&mut self) -> f64 {
-        let radius = (-2.0 * (1.0 - self.uniform()).ln()).sqrt();
-        radius * (std::f64::consts::TAU * self.uniform()).cos()
-    }
-
-    fn descriptor(&mut self) -> Descriptor {
-        let mut bytes = [0; DESCRIPTOR_BYTES];
-        bytes.iter_mut().for_each(|byte| *byte = self.bits() as u8);
-        Descriptor(bytes)
-    }
-
-    /// A descriptor with each bit turned with a probability.
-    fn turned(&mut self, descriptor: &Descriptor, probability: f64) -> Descriptor {
-        let mut turned = *descriptor;
-        for byte in &mut turned.0 {
-            for bit in 0..8 {
-                if self.uniform() < probability {
-                    *byte ^= 1 << bit;
-                }
+/// A descriptor with each bit turned with a probability.
+fn turned(random: &mut SplitMix64, descriptor: &Descriptor, probability: f64) -> Descriptor {
+    let mut turned = *descriptor;
+    for byte in &mut turned.0 {
+        for bit in 0..8 {
+            if random.unit() < probability {
+                *byte ^= 1 << bit;
             }
         }
-        turned
     }
+    turned
 }
 
 /// Four cameras as on the paper's car: 127 px/rad, 400 × 300, front, left, rear, right.
@@ -126,12 +105,12 @@ impl Default for Imaging {
 impl World {
     /// A room of 30 × 16 × 3 m with `count` points; points look like one of 60 kinds, more or less.
     pub(super) fn new(seed: u64, count: usize) -> Self {
-        let mut random = Random(seed);
-        let kinds: Vec<_> = (0..60).map(|_| random.descriptor()).collect();
+        let mut random = SplitMix64(seed);
+        let kinds: Vec<_> = (0..60).map(|_| drawn_descriptor(&mut random)).collect();
         let points = (0..count)
             .map(|_| {
-                let kind = kinds[random.bits() as usize % kinds.len()];
-                let descriptor = random.turned(&kind, 0.2);
+                let kind = kinds[random.next() as usize % kinds.len()];
+                let descriptor = turned(&mut random, &kind, 0.2);
                 surface_point(&mut random, descriptor)
             })
             .collect();
@@ -141,12 +120,12 @@ impl World {
     /// A room built from one drawing: most of its points are where any such room has them, and look like one of 20 kinds
     /// but for their wear; the others are its own.
     pub(super) fn drawn(seed: u64) -> Self {
-        let mut drawing = Random(77);
-        let kinds: Vec<_> = (0..20).map(|_| drawing.descriptor()).collect();
-        let mut wear = Random(seed);
+        let mut drawing = SplitMix64(77);
+        let kinds: Vec<_> = (0..20).map(|_| drawn_descriptor(&mut drawing)).collect();
+        let mut wear = SplitMix64(seed);
         let drawn: Vec<Point> = (0..1500)
             .map(|index| {
-                let descriptor = wear.turned(&kinds[index % kinds.len()], 0.03);
+                let descriptor = turned(&mut wear, &kinds[index % kinds.len()], 0.03);
                 surface_point(&mut drawing, descriptor)
             })
             .collect();
@@ -157,17 +136,17 @@ impl World {
 
     /// The same room where every stretch of `period` metres along x shows the same points.
     pub(super) fn repeated(mut self, period: f64, share: f64) -> Self {
-        let mut random = Random(99);
+        let mut random = SplitMix64(99);
         let pattern: Vec<Point> = self
             .points
             .iter()
             .filter(|point| point.position.x < period)
             .cloned()
             .collect();
-        self.points.retain(|_| random.uniform() > share);
+        self.points.retain(|_| random.unit() > share);
         let stretches = (30.0 / period) as usize;
         for stretch in 0..stretches {
-            for point in pattern.iter().filter(|_| random.uniform() < share) {
+            for point in pattern.iter().filter(|_| random.unit() < share) {
                 let mut point = point.clone();
                 point.position.x += period * stretch as f64;
                 self.points.push(point);
@@ -178,11 +157,11 @@ impl World {
 
     /// The room after some time: a share of its points is gone, as many new ones have come.
     pub(super) fn changed(&self, seed: u64, share: f64) -> Self {
-        let mut random = Random(seed);
+        let mut random = SplitMix64(seed);
         let mut changed = self.clone();
         for point in &mut changed.points {
-            if random.uniform() < share {
-                let descriptor = random.descriptor();
+            if random.unit() < share {
+                let descriptor = drawn_descriptor(&mut random);
                 *point = surface_point(&mut random, descriptor);
             }
         }
@@ -199,7 +178,7 @@ impl World {
         &self,
         pose: &Pose,
         imaging: &Imaging,
-        random: &mut Random,
+        random: &mut SplitMix64,
     ) -> KeyframeFeatures {
         let images = self.rig.cameras.iter().enumerate().map(|(index, mounted)| {
             if imaging.dark == Some(index) {
@@ -218,20 +197,20 @@ impl World {
                 let Some(pixel) = pixel.filter(|pixel| mounted.camera.contains(*pixel)) else {
                     continue;
                 };
-                if random.uniform() < imaging.detected {
+                if random.unit() < imaging.detected {
                     features.push(Feature {
                         pixel: pixel.map(|x| x + imaging.noise_px * random.normal()),
                         size_px: 8.0,
-                        descriptor: random.turned(&point.descriptor, imaging.turned),
+                        descriptor: turned(random, &point.descriptor, imaging.turned),
                     });
                 }
             }
             for _ in 0..imaging.clutter {
-                let like = random.bits() as usize % self.points.len();
+                let like = random.next() as usize % self.points.len();
                 features.push(Feature {
-                    pixel: [400.0 * random.uniform(), 300.0 * random.uniform()],
+                    pixel: [400.0 * random.unit(), 300.0 * random.unit()],
                     size_px: 8.0,
-                    descriptor: random.turned(&self.points[like].descriptor, 0.15),
+                    descriptor: turned(random, &self.points[like].descriptor, 0.15),
                 });
             }
             ImageFeatures { features }
@@ -242,7 +221,7 @@ impl World {
     }
 
     /// The map that a perfect mapping of a drive would make, with landmarks off by about a centimetre.
-    pub(super) fn map(&self, poses: &[Pose], random: &mut Random) -> LandmarkMap {
+    pub(super) fn map(&self, poses: &[Pose], random: &mut SplitMix64) -> LandmarkMap {
         let eyes: Vec<(u32, Vector3<f64>, Pose, usize)> = poses
             .iter()
             .enumerate()
@@ -271,7 +250,7 @@ impl World {
                         && lens
                             .project(&camera_from_map.transform(&point.position))
                             .is_some_and(|pixel| lens.contains(pixel))
-                        && random.uniform() < 0.5
+                        && random.unit() < 0.5
                 })
                 .collect();
             landmark(point, &seen, random)
@@ -283,7 +262,7 @@ impl World {
 fn landmark(
     point: &Point,
     seen: &[&(u32, Vector3<f64>, Pose, usize)],
-    random: &mut Random,
+    random: &mut SplitMix64,
 ) -> Option<MapLandmark> {
     if seen.len() < 3 {
         return None;
@@ -309,15 +288,15 @@ fn landmark(
         view,
         near_m: ranges.clone().fold(f64::INFINITY, f64::min),
         far_m: ranges.fold(0.0, f64::max),
-        descriptors: vec![random.turned(&point.descriptor, 0.03)],
+        descriptors: vec![turned(random, &point.descriptor, 0.03)],
         seen_from,
     })
 }
 
-fn surface_point(random: &mut Random, descriptor: Descriptor) -> Point {
+fn surface_point(random: &mut SplitMix64, descriptor: Descriptor) -> Point {
     let [length, width, height] = [30.0, 16.0, 3.0];
-    let [a, b] = [random.uniform(), random.uniform()];
-    let (position, normal) = match random.bits() % 8 {
+    let [a, b] = [random.unit(), random.unit()];
+    let (position, normal) = match random.next() % 8 {
         0 => ([a * length, 0.0, b * height], [0.0, 1.0, 0.0]),
         1 => ([a * length, width, b * height], [0.0, -1.0, 0.0]),
         2 => ([0.0, a * width, b * height], [1.0, 0.0, 0.0]),
@@ -356,7 +335,7 @@ pub(super) fn odometry(
     poses: &[Pose],
     scale: f64,
     drift_rad_per_m: f64,
-    random: &mut Random,
+    random: &mut SplitMix64,
 ) -> Vec<Pose> {
     let mut odometry = vec![Pose::identity()];
     let mut at = Pose::identity();

@@ -12,26 +12,23 @@ use crate::metric_map::association::{Described, FeatureRef, Scene};
 use crate::metric_map::features::{
     DESCRIPTOR_BYTES, Descriptor, Feature, ImageFeatures, KeyframeFeatures,
 };
+use crate::solving::random::SplitMix64;
 
-/// Numbers that look random (splitmix64).
-pub(crate) struct Chance(u64);
+/// Numbers that look random.
+pub(crate) struct Chance(SplitMix64);
 
 impl Chance {
     pub(crate) fn new(seed: u64) -> Self {
-        Self(seed)
+        Self(SplitMix64(seed))
     }
 
     fn next(&mut self) -> u64 {
-        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
-        let mut z = self.0;
-        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-        z ^ (z >> 31)
+        self.0.next()
     }
 
     /// In [0, 1).
     pub(crate) fn uniform(&mut self) -> f64 {
-        (self.next() >> 11) as f64 / (1u64 << 53) as f64
+        self.0.unit()
     }
 
     /// Of a normal distribution (sum of twelve).
