@@ -53,7 +53,7 @@ impl Default for WarpedLabelsParams {
 
 impl Operator for WarpedLabelImages {
     const NAME: &'static str = "warped_labels";
-    const VERSION: u32 = 4;
+    const VERSION: u32 = 5;
     const PAGE: &'static str = include_str!("warped_labels.md");
     type Params = WarpedLabelsParams;
     type Output = WarpedLabels;

@@ -9,7 +9,6 @@
 
 mod near;
 
-use nalgebra::Vector3;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -81,8 +80,9 @@ const SPREAD: f64 = 0.35;
 /// is too coarse to fill in. A footprint is never larger than this, whatever a lens claims.
 const COARSEST: f64 = 6.0;
 
-/// From a pixel's centre no footprint reaches farther (px), nor by how much its place is estimated wrongly at first.
-const REACH_PX: usize = (0.5 * FOOTPRINT * COARSEST) as usize + 2;
+/// From the pixel that a point appears in no footprint reaches farther (px): half of its size from the point, which is half a
+/// pixel from the pixel's centre at most.
+const REACH_PX: usize = (0.5 * FOOTPRINT * COARSEST + 0.5) as usize;
 
 /// A static point of another view, in the reference.
 #[derive(Debug, Clone, Copy)]
@@ -188,27 +188,20 @@ impl<'a> Hidden<'a> {
         surface: &mut Surface,
         seen: &mut Vec<Point>,
     ) {
-        let rotation = reference_from_other.rotation.to_rotation_matrix();
-        let from = reference_from_other.translation;
-        let scale = self.reference.lens.focal[0] / other.lens.focal[0];
+        let scale = (self.reference.lens.focal[0] / other.lens.focal[0]) as f32;
         let mut near = Near::new(other, reference_from_other, kinds);
         for row in 0..other.lens.height {
-            for column in near.columns(row, self.reference.lens, &self.around) {
-                let pixel = row * other.lens.width + column;
-                let class = other.labels[pixel];
-                let range_m = other.inverse(pixel).map(|inverse| 1.0 / f64::from(inverse));
-                let ray: Vector3<f64> = rotation * other.lens.ray(column, row);
-                let point = range_m.map_or(ray, |range_m| ray * range_m + from);
-                let here_m = point.norm().max(1e-6);
-                let coarse = scale * range_m.map_or(1.0, |range_m| (range_m / here_m).max(1.0));
-                if coarse > COARSEST {
+            for spot in near.spots(row, self.reference.lens, &self.around) {
+                let ranges_m = spot.ranges_m.map(|[there, here]| [there, here.max(1e-6)]);
+                let coarse = scale * ranges_m.map_or(1.0, |[there, here]| (there / here).max(1.0));
+                if coarse > COARSEST as f32 {
                     continue;
                 }
                 let point = Point {
-                    at: self.reference.lens.pixel(&point).map(|x| x as f32),
-                    inverse: range_m.map_or(0.0, |_| (1.0 / here_m) as f32),
-                    coarse: coarse.max(1.0) as f32,
-                    class,
+                    at: spot.at,
+                    inverse: ranges_m.map_or(0.0, |[_, here]| 1.0 / here),
+                    coarse: coarse.max(1.0),
+                    class: other.labels[row * other.lens.width + spot.column],
                 };
                 let mut is_behind = false;
                 self.splat(&point, |number, away_px| {
