@@ -11,6 +11,7 @@ mod inlined;
 mod joined;
 mod lengths;
 mod literals;
+mod measures;
 mod members;
 mod membership;
 mod misread;
