@@ -335,17 +335,17 @@ fn in_circle(frame: &str, ends: &str) -> Reason {
 
 /// How far from its vehicle's frame anything is mounted, m: the longest ship had 458. Farther away are numbers in
 /// millimetres, and places on earth.
-const FARTHEST_M: f64 = 500.0;
+const LONGEST_VEHICLE_M: f64 = 500.0;
 
 /// A place on the vehicle, if it can be one.
 fn near(place: Pose, frame: &str, vehicle: &str) -> Result<Pose, Reason> {
     let metres = place.translation.norm();
-    if metres <= FARTHEST_M {
+    if metres <= LONGEST_VEHICLE_M {
         return Ok(place);
     }
     let [frame, vehicle] = [frame, vehicle].map(shown);
     Err(format!(
-        "expected frame `{frame}` at most {FARTHEST_M} m from `{vehicle}`, found {metres:.0} m"
+        "expected frame `{frame}` at most {LONGEST_VEHICLE_M} m from `{vehicle}`, found {metres:.0} m"
     )
     .into())
 }
