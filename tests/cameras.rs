@@ -689,6 +689,36 @@ fn a_camera_whose_frame_looks_along_x_is_told() {
     assert_eq!(notes("optical", [-0.5, 0.5, -0.5, 0.5]), [false, false]);
 }
 
+#[test]
+fn a_camera_that_says_that_it_is_uncalibrated_is_told_and_keeps_its_frame() {
+    let logs = Logs::new();
+    let mount = json!({
+        "parent_frame_id": "base_link", "child_frame_id": "front",
+        "translation": {"x": 1.0, "y": 0.0, "z": 1.5}, "rotation": {"x": -0.5, "y": 0.5, "z": -0.5, "w": 0.5},
+    });
+    let mut uncalibrated = calibration([0; 4], &[0.0; 12]);
+    uncalibrated["k"] = json!([0.0; 9]);
+    let topics = [
+        ("/tf_static", TRANSFORM, vec![mount]),
+        (
+            "/usb_cam/camera_info",
+            "sensor_msgs/CameraInfo",
+            vec![uncalibrated],
+        ),
+        ("/usb_cam/image", IMAGE, vec![image(false)]),
+    ];
+    let log = logs.write("uncalibrated.mcap", &topics);
+    let said = "messages with invalid values on /usb_cam/camera_info: expected a focal length, found K[0] = 0: \
+                the calibration says that the camera is uncalibrated";
+    let inspected = evermap(&["inspect", text(&log)]).expect(3);
+    let checked = check(&write_plan(&logs), &log).expect(3);
+    for finished in [&inspected, &checked] {
+        assert!(finished.stderr.contains(said), "{}", finished.stderr);
+    }
+    let mounted = "front (/usb_cam/image): mounted on base_link";
+    assert!(inspected.stdout.contains(mounted), "{}", inspected.stdout);
+}
+
 /// ROS 1's `static_transform_publisher`, and logs with one topic of transforms, send mounts again and again.
 #[test]
 fn a_mount_that_is_sent_again_and_again_is_fixed_and_a_camera_that_moves_once_is_told() {

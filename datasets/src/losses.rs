@@ -43,6 +43,8 @@ pub enum Reason {
     Unreadable,
     /// A frame that is fixed in two ways: to two frames, or at two places. The latest holds.
     Contradiction,
+    /// Frames that are fixed to each other in a circle, and so nowhere.
+    Circle,
     /// A topic of transforms that is read for the vehicle's, and moves none.
     NoVehicle,
     /// What lies before a log's end record does not match the checksum there, and no chunk says where: it is read as it is.
@@ -75,6 +77,7 @@ impl Reason {
             Reason::NoRoom => "logs with more definitions and records than an index holds",
             Reason::Unreadable => "files that cannot be read",
             Reason::Contradiction => "frames with contradicting fixed transforms",
+            Reason::Circle => "circles of fixed transforms",
             Reason::NoVehicle => "topics of transforms that move no vehicle",
             Reason::BadData => "logs with a wrong checksum of their data",
             Reason::OtherParent => "transforms that move the vehicle in another frame",

@@ -63,7 +63,7 @@ impl Decoding {
         let own = pictures.iter().find(|picture| picture.index == number);
         let file = match own {
             Some(picture) => picture.file(),
-            None => Err("waits for later ones to decode".to_owned()),
+            None => Err("waits for later ones to decode, or is there twice".to_owned()),
         };
         match file {
             Ok(file) => (Answer::Picture, file),

@@ -1,6 +1,6 @@
 //! From frames to pictures.
 
-use evermap_video::{Codec, Colours, Matrix, Scale};
+use evermap_video::{Codec, Colours, Continuity, Matrix, Scale};
 use ffmpeg_next::color::{Range, Space};
 use ffmpeg_next::format::Pixel;
 use ffmpeg_next::util::error::EAGAIN;
@@ -15,6 +15,7 @@ pub const LARGEST_PICTURE: u64 = 35_651_584;
 /// pictures.
 pub struct Stream {
     opened: decoder::Video,
+    continuity: Continuity,
 }
 
 impl std::fmt::Debug for Stream {
@@ -53,14 +54,19 @@ impl Stream {
         let opened = opened.and_then(|opened| opened.video());
         Ok(Self {
             opened: opened.map_err(|error| format!("cannot decode {name}: {error}"))?,
+            continuity: Continuity::new(codec),
         })
     }
 
-    /// Decodes a frame: its picture, and others that waited for it.
+    /// Decodes a frame: its picture, and others that waited for it; none for one that is there twice.
     ///
     /// # Errors
-    /// In words, when the frame does not decode. What comes after it, up to the next key frame, cannot be believed.
+    /// In words, when the frame does not decode, or needs one that did not come: FFmpeg would go on without. What comes
+    /// after it, up to the next key frame, cannot be believed.
     pub fn push(&mut self, index: i64, bytes: &[u8]) -> Result<Vec<Picture>, String> {
+        if !self.continuity.follow(bytes)? {
+            return Ok(Vec::new());
+        }
         let mut packet = Packet::copy(bytes);
         packet.set_pts(Some(index));
         packet.set_dts(Some(index));

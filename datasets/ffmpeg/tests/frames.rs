@@ -100,6 +100,51 @@ fn broken_frames_are_told_or_decode() {
     }
 }
 
+/// Which frames do not decode, where some do not come.
+fn refused(codec: Codec, frames: &[Vec<u8>], come: impl Fn(usize) -> bool) -> Vec<usize> {
+    let mut stream = Stream::new(codec).unwrap();
+    let all = frames.iter().enumerate().filter(|(at, _)| come(*at));
+    let pushed = all.map(|(at, frame)| (at, stream.push(at as i64, frame)));
+    let refused = pushed.filter_map(|(at, pictures)| Some((at, pictures.err()?)));
+    refused
+        .map(|(at, reason)| {
+            assert_eq!(reason, "refers to one that did not come", "{codec:?}, {at}");
+            at
+        })
+        .collect()
+}
+
+#[test]
+fn frames_behind_one_that_did_not_come_are_refused_up_to_the_next_key_frame() {
+    for codec in [Codec::H264, Codec::H265] {
+        let frames = stream(codec, 12);
+        assert!(refused(codec, &frames, |_| true).is_empty());
+        assert_eq!(refused(codec, &frames, |at| at != 2), [3, 4], "{codec:?}");
+        assert!(refused(codec, &frames, |at| at != 4).is_empty());
+        assert_eq!(refused(codec, &frames, |at| at != 5), [6, 7, 8, 9]);
+        // The same message twice.
+        let twice = [&frames[..3], &frames[2..]].concat();
+        assert!(refused(codec, &twice, |_| true).is_empty(), "{codec:?}");
+        let again = [&frames[..3], &frames[1..]].concat();
+        assert!(decoded(codec, &again).is_err(), "{codec:?}");
+    }
+}
+
+#[test]
+fn frames_that_refer_to_later_ones_follow_each_other_too() {
+    for codec in [Codec::H264, Codec::H265] {
+        let style = Style {
+            b_frames: 3,
+            ..Style::usual(KEY_EVERY * 4, 10)
+        };
+        let frames = styled(codec, 50, style);
+        assert!(refused(codec, &frames, |_| true).is_empty(), "{codec:?}");
+        // The first that refers to a key frame is what others of its group refer to.
+        let missing = refused(codec, &frames, |at| at != 1);
+        assert!(missing.contains(&2), "{codec:?}: {missing:?}");
+    }
+}
+
 #[test]
 fn samples_of_more_than_8_bits_are_told() {
     for codec in [Codec::H264, Codec::H265] {

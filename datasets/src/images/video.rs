@@ -54,8 +54,8 @@ struct Found {
 struct Run {
     key: At,
     last: Option<At>,
-    /// `None` behind a frame that does not decode.
-    decoder: Option<Decoder>,
+    /// Behind a frame that was not decoded, why not.
+    decoder: Result<Decoder, String>,
 }
 
 /// What came out for a frame.
@@ -76,7 +76,7 @@ impl Run {
         Self {
             key,
             last: None,
-            decoder: Some(Decoder::new(codec)),
+            decoder: Ok(Decoder::new(codec)),
         }
     }
 
@@ -105,9 +105,12 @@ impl Run {
     }
 
     fn push(&mut self, bytes: Option<Bytes>, wanted: bool) -> Result<Decoded, Fault> {
-        let Some(decoder) = &mut self.decoder else {
-            let after = "video frame after one that does not decode";
-            return Ok(Err(Fault::data(after)));
+        let decoder = match &mut self.decoder {
+            Ok(decoder) => decoder,
+            Err(reason) => {
+                let after = format!("video frame after one that {reason}");
+                return Ok(Err(Fault::data(after)));
+            }
         };
         let bytes = bytes.ok_or_else(|| Failure::Frame("is not base64".to_owned()));
         match bytes.and_then(|bytes| decoder.push(&bytes, wanted)) {
@@ -116,8 +119,9 @@ impl Run {
             // Nobody asked for its picture.
             Ok(None) => Ok(Ok(Bytes::new())),
             Err(Failure::Frame(reason)) => {
-                self.decoder = None;
-                Ok(Err(Fault::data(format!("video frame {reason}"))))
+                let lost = format!("video frame {reason}");
+                self.decoder = Err(reason);
+                Ok(Err(Fault::data(lost)))
             }
             Err(Failure::Process(reason)) => Err(Fault::resource(reason)),
         }

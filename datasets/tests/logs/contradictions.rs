@@ -374,6 +374,36 @@ async fn a_frame_that_is_fixed_in_two_ways_is_counted() {
     }
 }
 
+/// Whichever transform comes last, and however often one is read.
+#[tokio::test]
+async fn frames_that_are_fixed_to_each_other_in_a_circle_are_told() {
+    let mounts = [
+        ["base", "mast"],
+        ["mast", "front"],
+        ["front", "base"],
+        ["odd", "odd"],
+        ["base", "left"],
+    ];
+    for turn in 0..mounts.len() {
+        let mut turned = mounts;
+        turned.rotate_left(turn);
+        let said: Vec<u8> = (1..)
+            .zip(turned)
+            .flat_map(|(stamp, frames)| transform(1, stamp, frames, 1.0))
+            .collect();
+        let definitions = [transforms(1), channel(1, 1, "/tf_static", "json")].concat();
+        let log = file(&[definitions, chunk(said.len() as u64, "", &said)], &[]);
+        let (context, dataset) = open_in(in_memory(&log).await, 1).await.unwrap();
+        for rows in ["SELECT * FROM transforms", "SELECT child FROM transforms"] {
+            count(&context, rows).await;
+        }
+        let told: Vec<_> = dataset.losses.told().into_iter().collect();
+        let said = "memory://logs/log.mcap: circles of fixed transforms on /tf_static: \
+             `base` is fixed to `front` is fixed to `mast` is fixed to `base`; `odd` is fixed to `odd`";
+        assert_eq!(told, [(said.to_owned(), 2)], "{turn}");
+    }
+}
+
 /// One session cannot be scanned apart: what is said names its schemas, and what can be asked.
 #[tokio::test]
 async fn a_topic_of_two_types_in_one_session_says_what_can_be_asked() {

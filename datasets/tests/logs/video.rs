@@ -420,6 +420,34 @@ async fn a_frame_that_cannot_be_decoded_takes_those_up_to_the_next_key_frame_alo
 }
 
 #[tokio::test(flavor = "multi_thread")]
+async fn a_message_that_is_lost_takes_the_frames_up_to_the_next_key_frame_along() {
+    const LOST: &str = "video frame refers to one that did not come";
+    const AFTER: &str = "video frame after one that refers to one that did not come";
+    let folder = tempfile::tempdir().unwrap();
+    for codec in [Codec::H264, Codec::H265] {
+        let mut frames = stream(codec);
+        frames.remove(2);
+        // Now the key frames are numbers 0, 4 and 9.
+        let path = folder.path().join(format!("lost-{}.mcap", codec.name()));
+        write(&path, Spelling::Foxglove, codec, &frames, true);
+        let (dataset, images) = references(&path).await;
+        for asked in [&images[..], &images[3..]] {
+            let reader = ImageReader::new(&dataset, 1 << 20);
+            let skipped = images.len() - asked.len();
+            for (at, found) in resolved(&reader, asked).await.iter().enumerate() {
+                let expected = match at + skipped {
+                    2 => Some(LOST),
+                    3 => Some(AFTER),
+                    _ => None,
+                };
+                let told = found.as_ref().err().map(|fault| fault.message.as_str());
+                assert_eq!(told, expected, "{codec:?}, {at}");
+            }
+        }
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
 async fn a_frame_of_a_split_recording_is_decoded_from_the_file_before() {
     let folder = tempfile::tempdir().unwrap();
     let whole = folder.path().join("whole.mcap");

@@ -1,5 +1,7 @@
 //! What the bytes of a frame say without being decoded (ITU-T H.264 and H.265, Annex B and table 7-1 of each).
 
+use crate::bits::units;
+
 /// A video format that is decoded.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub enum Codec {
@@ -43,8 +45,8 @@ impl Codec {
     /// Whether decoding can begin with this frame: a key frame with its parameter set before it.
     pub fn begins(self, frame: &[u8]) -> bool {
         let mut parameters = false;
-        for head in heads(frame) {
-            match self.part(head) {
+        for unit in units(frame) {
+            match self.part(unit[0]) {
                 Part::Parameters => parameters = true,
                 Part::Key => return parameters,
                 Part::Other => return false,
@@ -52,6 +54,11 @@ impl Codec {
             }
         }
         false
+    }
+
+    /// Whether a picture of it refers to none before it.
+    pub(crate) fn has_key(self, frame: &[u8]) -> bool {
+        units(frame).any(|unit| self.part(unit[0]) == Part::Key)
     }
 
     fn part(self, head: u8) -> Part {
@@ -70,14 +77,6 @@ impl Codec {
             },
         }
     }
-}
-
-/// The first byte of each unit: what follows a start code, 00 00 01.
-fn heads(bytes: &[u8]) -> impl Iterator<Item = u8> {
-    let quads = bytes.windows(4);
-    quads
-        .filter(|quad| quad[..3] == [0, 0, 1])
-        .map(|quad| quad[3])
 }
 
 #[cfg(test)]

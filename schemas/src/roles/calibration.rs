@@ -74,9 +74,7 @@ impl FromMessage for Calibration {
         if cameras.calibrated_by(topic, &camera).is_some() || cameras.is_unplaced(topic, &camera) {
             return Ok(Vec::new());
         }
-        let Some(said) = said(message)? else {
-            return Ok(Vec::new());
-        };
+        let said = said(message)?;
         let first = cameras.first_of_pair(topic, &frame);
         let pair_from_camera = match first {
             Some(_) => said.pair_from_camera?,
@@ -126,42 +124,36 @@ pub(super) struct Said {
     pub(super) pair_from_camera: Result<Pose, String>,
 }
 
-/// What a calibration says; `None` where the camera is not calibrated.
+/// What a calibration says.
 ///
 /// # Errors
-/// In words, where it makes no sense.
-pub(super) fn said(message: &Message<'_>) -> Result<Option<Said>, String> {
+/// In words, where it makes no sense, or says that the camera is not calibrated.
+pub(super) fn said(message: &Message<'_>) -> Result<Said, String> {
     let fields = &message.fields;
     let whole = ["width", "height"].map(|name| pixels(fields, &[name]));
     let region = region(fields, whole)?;
     let is_rectified = message.cameras.calibrates_rectified(message.topic);
-    let (lens, pair_from_camera) = match (is_rectified, region) {
+    let (mut lens, pair_from_camera) = match (is_rectified, region) {
         (true, Some(_)) => {
             return Err(
                 "expected all of the sensor where images are rectified, found a region of interest"
                     .to_owned(),
             );
         }
-        (true, None) => (
-            Some(rectified(fields)?),
-            Ok(stereo::pair_from_camera(fields)?),
-        ),
+        (true, None) => (rectified(fields)?, Ok(stereo::pair_from_camera(fields)?)),
         // R and P are of other images: nobody needs them but a camera of a pair that names one frame.
         (false, _) => (as_it_sees(fields)?, stereo::pair_from_camera(fields)),
-    };
-    let Some(mut lens) = lens else {
-        return Ok(None);
     };
     let size = region.map_or(whole, |region| {
         lens.begin_at(region.from);
         region.size
     });
-    Ok(Some(Said {
+    Ok(Said {
         stamp: message.stamp()?,
         size,
         lens,
         pair_from_camera,
-    }))
+    })
 }
 
 /// Where K holds the focal length and the centre along x, and along y: nine entries, row by row, or `fx, cx, fy, cy` and
@@ -225,21 +217,24 @@ fn region(fields: &Fields<'_>, whole: [u32; 2]) -> Result<Option<Region>, String
     }
 }
 
-/// The lens of images as it sees them, K and D; `None` where it is not calibrated.
-fn as_it_sees(fields: &Fields<'_>) -> Result<Option<Lens>, String> {
+/// The lens of images as it sees them, K and D.
+fn as_it_sees(fields: &Fields<'_>) -> Result<Lens, String> {
     let intrinsics = fields.numbers(&["k", "K"]);
     let distortion = fields.numbers(&["d", "D"]);
     check_finite(intrinsics.iter().chain(&distortion))?;
     // CameraInfo: "if K[0] is 0, the camera is uncalibrated".
     if intrinsics.first().is_none_or(|fx| *fx == 0.0) {
-        return Ok(None);
+        return Err(
+            "expected a focal length, found K[0] = 0: the calibration says that the camera is uncalibrated"
+                .to_owned(),
+        );
     }
     let model = fields.text(&["distortion_model"]).unwrap_or_default();
-    Ok(Some(Lens {
+    Ok(Lens {
         model: plain_model(&model),
         intrinsics,
         distortion,
-    }))
+    })
 }
 
 /// The lens of rectified images: P without its last column, and no distortion.

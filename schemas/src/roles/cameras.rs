@@ -270,7 +270,8 @@ impl CameraNames {
     }
 
     /// The camera of an image: that of the calibration whose topic has the same prefix and which names the image's frame;
-    /// else this frame where a calibration's camera is called so, else the camera of the same prefix, else the prefix.
+    /// else this frame where a calibration's camera is called so, else the camera of the same prefix, else the frame that it
+    /// shares with the calibration of its prefix, which is not read, and with no others, else the prefix.
     pub fn name(&self, topic: &str, frame: &str) -> String {
         let prefix = topic_camera(topic);
         let own = self.by_prefix.get(&prefix);
@@ -278,7 +279,19 @@ impl CameraNames {
         if is_of_other && self.by_prefix.values().any(|named| named.camera == frame) {
             return frame.to_owned();
         }
-        own.map(|own| own.camera.clone()).unwrap_or(prefix)
+        let own = own.map(|own| own.camera.clone());
+        own.or_else(|| self.unread_frame(&prefix, frame))
+            .unwrap_or(prefix)
+    }
+
+    /// This frame, where the calibration of a prefix names it that is not read, and no other one does.
+    fn unread_frame(&self, prefix: &str, frame: &str) -> Option<String> {
+        let read = self.by_prefix.values().map(|named| &named.said.frame);
+        let named = read.chain(self.unread.values());
+        let is_its_own = named.filter(|named| *named == frame).count() == 1;
+        let unread = self.unread.get(prefix);
+        let unread = unread.filter(|unread| is_its_own && *unread == frame);
+        unread.cloned()
     }
 }
 

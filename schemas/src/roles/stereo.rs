@@ -55,9 +55,7 @@ impl FromMessage for CalibratedCamera {
     const MEMBERS: &'static [&'static str] = Calibration::MEMBERS;
 
     fn from_message(message: &Message<'_>) -> Result<Vec<Self>, String> {
-        let Some(said) = calibration::said(message)? else {
-            return Ok(Vec::new());
-        };
+        let said = calibration::said(message)?;
         let (pair_from_camera, unplaced) = match said.pair_from_camera {
             Ok(pose) => (Some(pose), None),
             Err(why) => (None, Some(why)),

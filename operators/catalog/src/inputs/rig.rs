@@ -1,6 +1,6 @@
 //! A session's cameras: their calibrations over time, and where they are mounted.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
 use evermap_algorithms::geometry::camera::Camera;
@@ -78,7 +78,7 @@ pub(crate) fn rigs(
     for row in transforms.into_iter().filter(|row| row.fixed) {
         sessions.entry(row.session.clone()).or_default().mount(row);
     }
-    sessions.values_mut().for_each(Rig::order);
+    sessions.values_mut().for_each(Rig::settle);
     sessions
 }
 
@@ -98,6 +98,7 @@ pub fn footing(transforms: Vec<Transform>, vehicle: &VehicleFrame) -> Footing {
     let mut rig = Rig::default();
     let fixed = transforms.into_iter().filter(|row| row.fixed);
     fixed.for_each(|row| rig.mount(row));
+    rig.settle();
     let meant = frame_names::meant(vehicle.name(), rig.frames());
     let vehicle = meant.unwrap_or(vehicle.name());
     let ancestors = rig.ancestors(vehicle);
@@ -116,6 +117,8 @@ pub(crate) struct Rig {
     calibrations: BTreeMap<String, Vec<Arc<Calibration>>>,
     /// Stamp, parent and `parent_from_child` by child; the latest of several.
     mounts: BTreeMap<String, (Stamp, String, Pose)>,
+    /// Frames that are fixed to each other in a circle: they are mounted nowhere.
+    circles: BTreeSet<String>,
 }
 
 impl Rig {
@@ -131,10 +134,38 @@ impl Rig {
         }
     }
 
-    fn order(&mut self) {
+    /// When all calibrations and mounts have come.
+    fn settle(&mut self) {
         for of_camera in self.calibrations.values_mut() {
             of_camera.sort_by_key(|calibration| calibration.stamp);
         }
+        self.circles = self.circles();
+        let circles = &self.circles;
+        self.mounts.retain(|child, _| !circles.contains(child));
+    }
+
+    /// The frames that are fixed to each other in a circle.
+    fn circles(&self) -> BTreeSet<String> {
+        let mut circles = BTreeSet::new();
+        // By frame, the walk that came there first.
+        let mut walked = BTreeMap::new();
+        for (walk, start) in self.mounts.keys().enumerate() {
+            let mut next = Some(start);
+            while let Some(frame) = next
+                && !walked.contains_key(frame)
+            {
+                walked.insert(frame, walk);
+                next = self.mounts.get(frame).map(|(_, parent, _)| parent);
+            }
+            // The walk meets itself.
+            while let Some(frame) = next
+                && walked.get(frame) == Some(&walk)
+                && circles.insert(frame.clone())
+            {
+                next = self.mounts.get(frame).map(|(_, parent, _)| parent);
+            }
+        }
+        circles
     }
 
     /// The calibration that holds at an instant: the latest that is not after it, else the first.
@@ -192,11 +223,10 @@ impl Rig {
         })
     }
 
-    /// A frame and its ancestors, each with its own pose: `(ancestor, ancestor_from_frame)`.
+    /// A frame and its ancestors, each with its own pose: `(ancestor, ancestor_from_frame)`. No mount is on a circle.
     fn ancestors<'a>(&'a self, start: &'a str) -> Vec<(&'a str, Pose)> {
         let mut chain = vec![(start, Pose::identity())];
         while let Some((child, child_from_start)) = chain.last()
-            && chain.len() <= self.mounts.len()
             && let Some((_, parent, parent_from_child)) = self.mounts.get(*child)
         {
             chain.push((parent, parent_from_child.compose(child_from_start)));
@@ -218,10 +248,14 @@ impl Rig {
             self.vehicle_from(frame_names::meant(vehicle, frames)?, &of_frame)
         };
         let found = self.vehicle_from(vehicle, &of_frame).or_else(prefixed);
-        found.ok_or_else(|| {
+        let found = found.ok_or_else(|| {
             let ends = of_frame.last().map_or(frame, |(ancestor, _)| *ancestor);
-            apart(frame, vehicle, ends)
-        })
+            match self.circles.contains(ends) {
+                true => in_circle(frame, ends),
+                false => apart(frame, vehicle, ends),
+            }
+        })?;
+        near(found, frame, vehicle)
     }
 
     /// The camera of a calibration on the vehicle, as its images look: from where its frame is, or where the calibration
@@ -235,7 +269,8 @@ impl Rig {
             return self.vehicle_from_frame(vehicle, frame(&calibration.camera));
         };
         let vehicle_from_frame = self.vehicle_from_frame(vehicle, frame(&mount.frame))?;
-        Ok(vehicle_from_frame.compose(&frame_from_camera(calibration)?))
+        let found = vehicle_from_frame.compose(&frame_from_camera(calibration)?);
+        near(found, &calibration.camera, vehicle)
     }
 
     /// The camera of an image on the vehicle, by the calibration that holds; one without any is at the frame of its name.
@@ -290,6 +325,29 @@ fn apart(frame: &str, vehicle: &str, ends: &str) -> Reason {
         false => format!("fixed transforms from frame `{from}` lead to `{last}`, not to `{to}`"),
     }
     .into()
+}
+
+/// Why what is mounted at a frame is left out whose fixed transforms lead in a circle.
+fn in_circle(frame: &str, ends: &str) -> Reason {
+    let [frame, ends] = [frame, ends].map(shown);
+    format!("fixed transforms from frame `{frame}` lead in a circle, through `{ends}`").into()
+}
+
+/// How far from its vehicle's frame anything is mounted, m: the longest ship had 458. Farther away are numbers in
+/// millimetres, and places on earth.
+const LONGEST_VEHICLE_M: f64 = 500.0;
+
+/// A place on the vehicle, if it can be one.
+fn near(place: Pose, frame: &str, vehicle: &str) -> Result<Pose, Reason> {
+    let metres = place.translation.norm();
+    if metres <= LONGEST_VEHICLE_M {
+        return Ok(place);
+    }
+    let [frame, vehicle] = [frame, vehicle].map(shown);
+    Err(format!(
+        "expected frame `{frame}` at most {LONGEST_VEHICLE_M} m from `{vehicle}`, found {metres:.0} m"
+    )
+    .into())
 }
 
 /// Images are at most so many times as large as their calibration.

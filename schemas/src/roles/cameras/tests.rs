@@ -330,3 +330,16 @@ fn a_second_camera_does_not_take_the_place_of_a_first_one_without_calibration() 
         assert_eq!(names.name("/right/image_raw", "optical"), "optical");
     }
 }
+
+#[test]
+fn a_camera_whose_calibration_is_not_read_keeps_the_name_of_its_frame() {
+    let mut names = of_two();
+    names.add_unread(LEFT, "optical".to_owned());
+    assert_eq!(names.name("/left/image_raw", "optical"), "optical");
+    assert_eq!(names.name("/left/image_raw", "another"), "left");
+    assert_eq!(names.name("/right/image_raw", "optical"), "right");
+    // Drivers call the frames of all cameras the same.
+    names.add_unread(RIGHT, "optical".to_owned());
+    assert_eq!(names.name("/left/image_raw", "optical"), "left");
+    assert_eq!(names.name("/right/image_raw", "optical"), "right");
+}

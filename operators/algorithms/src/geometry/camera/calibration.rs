@@ -4,6 +4,7 @@
 //! their own. Everything is checked here, once, and an error says what was expected: a camera
 //! built from half-filled fields would give a map that is wrong without looking wrong.
 
+use super::spread::spread;
 use super::{
     BrownConrady, Camera, Equirectangular, KannalaBrandt, Model, Ocam, OcamAffine, OcamCurve,
     Pinhole,
@@ -95,6 +96,13 @@ const TRIED: u32 = 9;
 /// out, or all but a quarter of the longer side.
 const SEEN: u32 = 20;
 
+/// Rays are as far apart, in parts of what they are on the axis and as areas, somewhere in the image at least: those of a
+/// pinhole 84° from its axis. A centre in other units, or far from the image, has all of them at the edge of the world.
+const LEAST_SPREAD: f64 = 0.001;
+
+/// And in parts of what they are without distortion, which moves pixels of an image and gathers not all of them in a spot.
+const LEAST_KEPT: f64 = 0.1;
+
 /// How far a ray may miss its pixel, in parts of the longer side, beyond one pixel. Polynomials of omnidirectional cameras
 /// miss the axis, where none was fitted, by a few pixels.
 const MISSED: f64 = 0.01;
@@ -138,6 +146,30 @@ fn check_view(model: &str, camera: &Camera) -> Result<(), CameraError> {
     }
 }
 
+/// That the rays of a camera are spread over a part of the world that an image shows.
+fn check_spread(model: &str, camera: &Camera) -> Result<(), CameraError> {
+    let Some(found) = spread(camera, TRIED) else {
+        return Ok(());
+    };
+    let wrong = |what, found| {
+        Err(CameraError::Value {
+            model: model.to_owned(),
+            what,
+            found,
+        })
+    };
+    if found.of_axis < LEAST_SPREAD {
+        let what = "expected rays a thousandth as far apart, as areas, as on the axis of the lens at least";
+        return wrong(what, found.of_axis);
+    }
+    if found.of_straight < LEAST_KEPT {
+        let what =
+            "expected rays a tenth as far apart, as areas, as without the distortion at least";
+        return wrong(what, found.of_straight);
+    }
+    Ok(())
+}
+
 /// The ray of a pixel; `None` where the model ends before it.
 fn returning_ray(
     camera: &Camera,
@@ -178,7 +210,7 @@ impl Camera {
     ///
     /// The last row of nine entries is `0 0 1`, or `0 0 0` where nobody filled it in. More entries in `d` than a model has are
     /// accepted when they are zero. Focal lengths are of a hundredth to a thousand times the image's longer side, and the
-    /// model has rays, which lead back to their pixels, for a twentieth of the image.
+    /// model has rays, which lead back to their pixels, for a twentieth of the image, and are spread as an image's are.
     ///
     /// # Errors
     /// [`CameraError`] says which number was not as expected, or which pixel.
@@ -218,6 +250,7 @@ impl Camera {
         };
         let camera = Camera::new(model, width, height);
         check_view(model_name, &camera)?;
+        check_spread(model_name, &camera)?;
         Ok(camera)
     }
 }

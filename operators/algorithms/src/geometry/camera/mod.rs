@@ -14,6 +14,7 @@ mod equirectangular;
 mod kannala_brandt;
 mod ocam;
 pub(super) mod radial;
+mod spread;
 #[cfg(test)]
 pub(crate) mod tests;
 

@@ -234,6 +234,30 @@ fn calibrations_that_no_lens_has_are_refused() {
     ] {
         made(name, k(focal, 199.5), &[d, 0.0, 0.0, 0.0]).unwrap();
     }
+    // All rays at the edge of the world, or in one spot: of the pole of a denominator, too.
+    let pole = [0.0, 0.0, 0.0, 0.0, 0.0, -1e3, 0.0, 0.0];
+    for (name, centre, d, found) in [
+        ("plumb_bob", -5000.0, &[][..], "on the axis"),
+        (
+            "plumb_bob",
+            199.5,
+            &[1e6, 1e6, 0.0, 0.0, 1e6],
+            "on the axis",
+        ),
+        (
+            "rational_polynomial",
+            199.5,
+            &pole,
+            "without the distortion",
+        ),
+        ("equidistant", 199.5, &[1e6, -1e6, 1e6, -1e6], "on the axis"),
+    ] {
+        let error = made(name, k(200.0, centre), d).unwrap_err();
+        let said = error.contains("rays") && error.contains(found);
+        assert!(said, "{name} {centre} {d:?}: {error}");
+    }
+    // Of the corner of a sensor that is ten times as wide.
+    made("plumb_bob", k(1600.0, -1800.0), &[-0.2, 0.05, 0.0, 0.0]).unwrap();
     // Written column by column, or in other units.
     for (name, k, found) in [
         (

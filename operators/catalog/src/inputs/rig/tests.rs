@@ -26,6 +26,7 @@ fn rig(transforms: &[(&str, &str)]) -> Rig {
     let mut rig = Rig::default();
     let all = mounts(transforms).into_iter();
     all.for_each(|row| rig.mount(row));
+    rig.settle();
     rig
 }
 
@@ -143,6 +144,51 @@ fn a_vehicle_is_found_behind_the_only_prefix() {
     assert_eq!(ahead(&one, "/a/base_link", "a/front"), Some(2.0));
     assert_eq!(ahead(&one, "b/base_link", "a/front"), None);
     assert_eq!(ahead(&rig(&[]), USUAL_VEHICLE, "a/base_link"), Some(0.0));
+}
+
+#[test]
+fn what_is_fixed_in_a_circle_is_mounted_nowhere() {
+    let why = |rig: &Rig, camera: &str| {
+        let found = rig.vehicle_from_frame(USUAL_VEHICLE, camera);
+        found.unwrap_err().to_string()
+    };
+    let through_vehicle = rig(&[
+        ("base_link", "x"),
+        ("x", "front"),
+        ("front", "base_link"),
+        ("front", "lens"),
+    ]);
+    let front = "fixed transforms from frame `front` lead in a circle, through `front`";
+    assert_eq!(why(&through_vehicle, "front"), front);
+    let lens = "fixed transforms from frame `lens` lead in a circle, through `front`";
+    assert_eq!(why(&through_vehicle, "lens"), lens);
+    let own = rig(&[("front", "front"), ("base_link", "left")]);
+    assert_eq!(why(&own, "front"), front);
+    // Others stay where they are.
+    let aside = rig(&[("a", "b"), ("b", "a"), ("b", "c"), ("base_link", "left")]);
+    assert_eq!(ahead(&aside, USUAL_VEHICLE, "left"), Some(1.0));
+    assert_eq!(ahead(&aside, "b", "c"), Some(1.0));
+    let circle: BTreeSet<String> = ["a", "b"].map(str::to_owned).into();
+    assert_eq!(aside.circles, circle);
+    let vehicle = VehicleFrame::default();
+    let found = footing(mounts(&[("x", "base_link"), ("base_link", "x")]), &vehicle);
+    assert!(found.vehicle_from_root.is_none() && found.root == USUAL_VEHICLE);
+}
+
+#[test]
+fn what_is_farther_away_than_any_vehicle_is_long_is_not_mounted_on_it() {
+    let mut rig = Rig::default();
+    for (child, x) in [("front", -499.0), ("far", 1e8)] {
+        for mut row in mounts(&[(USUAL_VEHICLE, child)]) {
+            row.parent_from_child.x = x;
+            rig.mount(row);
+        }
+    }
+    rig.settle();
+    assert_eq!(ahead(&rig, USUAL_VEHICLE, "front"), Some(-499.0));
+    let why = rig.vehicle_from_frame(USUAL_VEHICLE, "far").unwrap_err();
+    let said = "expected frame `far` at most 500 m from `base_link`, found 100000000 m";
+    assert_eq!(why.to_string(), said);
 }
 
 #[test]
