@@ -697,7 +697,7 @@ fn a_camera_that_says_that_it_is_uncalibrated_is_told_and_keeps_its_frame() {
         "translation": {"x": 1.0, "y": 0.0, "z": 1.5}, "rotation": {"x": -0.5, "y": 0.5, "z": -0.5, "w": 0.5},
     });
     let mut uncalibrated = calibration([0; 4], &[0.0; 12]);
-    uncalibrated["k"] = json!([0.0; 9]);
+    uncalibrated["k"] = json!(vec![0.0; 9]);
     let topics = [
         ("/tf_static", TRANSFORM, vec![mount]),
         (
