@@ -63,7 +63,7 @@ impl Kind {
 
     /// Whether pictures of its own layer do not count from it.
     fn is_no_base(self) -> bool {
-        matches!(self.0, 6..=9) || (self.0 <= 14 && self.0 % 2 == 0)
+        matches!(self.0, 6..=9) || (self.0 <= 14 && self.0.is_multiple_of(2))
     }
 }
 
