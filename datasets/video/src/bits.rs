@@ -143,7 +143,7 @@ pub(crate) mod written {
 
         pub(crate) fn bytes(self) -> Vec<u8> {
             let mut bits = self.number(1, 1);
-            while bits.bits.len() % 8 != 0 {
+            while !bits.bits.len().is_multiple_of(8) {
                 bits.bits.push(false);
             }
             let mut bytes = [&[0, 0, 1], bits.head.as_slice()].concat();
