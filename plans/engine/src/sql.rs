@@ -3,7 +3,6 @@
 mod arguments;
 pub mod as_of;
 mod associated;
-mod balanced;
 mod bounded;
 mod compared;
 pub mod described;
@@ -53,7 +52,6 @@ use crate::error::{OrFault, external};
 use crate::nodes::light::LightBatches;
 use crate::sql::arguments::check_arguments;
 use crate::sql::associated::associated;
-use crate::sql::balanced::balanced;
 use crate::sql::bounded::{BYTES_PER_BATCH_ROW, bound_functions};
 use crate::sql::compared::compare_values;
 use crate::sql::expanded::check_expanded;
@@ -369,7 +367,6 @@ async fn plan_of_one(
         written = Written::of(sql).map_err(external)?;
         check_misread(sql).map_err(external)?;
         associated(sql);
-        balanced(sql);
         joined(sql).map_err(external)?;
         as_of::bracketed(sql);
         named_apart(sql);
