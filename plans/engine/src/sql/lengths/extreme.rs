@@ -2,24 +2,22 @@
 
 use std::sync::{Arc, LazyLock};
 
-use arrow::datatypes::{DataType, IntervalMonthDayNanoType};
-use datafusion::common::{DFSchema, Result};
-use datafusion::logical_expr::expr::AggregateFunction;
+use arrow::array::{ArrayRef, AsArray};
+use arrow::datatypes::{DataType, IntervalMonthDayNano, IntervalMonthDayNanoType};
+use datafusion::common::{DFSchema, Result, ScalarValue};
 use datafusion::logical_expr::function::AccumulatorArgs;
 use datafusion::logical_expr::{
-    Accumulator, AggregateUDF, AggregateUDFImpl, Expr, ExprSchemable, GroupsAccumulator, Signature,
-    Volatility,
+    Accumulator, AggregateUDF, AggregateUDFImpl, Expr, ExprSchemable, Signature, Volatility,
 };
 
-use crate::sql::lengths::length::{WHOLE, order};
-use crate::sql::measures::{Extreme, Moving, OfAll, OfGroups, Side};
+use crate::sql::lengths::length::{WHOLE, length};
 
-static SHORTEST: LazyLock<Arc<AggregateUDF>> = LazyLock::new(|| function(Side::Least));
-static LONGEST: LazyLock<Arc<AggregateUDF>> = LazyLock::new(|| function(Side::Greatest));
+static SHORTEST: LazyLock<Arc<AggregateUDF>> = LazyLock::new(|| function(false));
+static LONGEST: LazyLock<Arc<AggregateUDF>> = LazyLock::new(|| function(true));
 
-fn function(side: Side) -> Arc<AggregateUDF> {
-    Arc::new(AggregateUDF::new_from_impl(ExtremeInterval {
-        side,
+fn function(is_longest: bool) -> Arc<AggregateUDF> {
+    Arc::new(AggregateUDF::new_from_impl(Extreme {
+        is_longest,
         signature: Signature::exact(vec![WHOLE], Volatility::Immutable),
     }))
 }
@@ -44,31 +42,17 @@ pub fn of_intervals(
     (found == Some(WHOLE)).then(|| Arc::clone(function))
 }
 
-/// The shortest interval of a group, and of those of one length the first by its parts.
-pub fn shortest(interval: Expr) -> Expr {
-    let function = Arc::clone(&SHORTEST);
-    let args = vec![interval];
-    Expr::AggregateFunction(AggregateFunction::new_udf(
-        function,
-        args,
-        false,
-        None,
-        Vec::new(),
-        None,
-    ))
-}
-
 #[derive(Debug, PartialEq, Eq, Hash)]
-struct ExtremeInterval {
-    side: Side,
+struct Extreme {
+    is_longest: bool,
     signature: Signature,
 }
 
-impl AggregateUDFImpl for ExtremeInterval {
+impl AggregateUDFImpl for Extreme {
     fn name(&self) -> &str {
-        match self.side {
-            Side::Greatest => "longest_interval",
-            Side::Least => "shortest_interval",
+        match self.is_longest {
+            true => "longest_interval",
+            false => "shortest_interval",
         }
     }
 
@@ -81,22 +65,49 @@ impl AggregateUDFImpl for ExtremeInterval {
     }
 
     fn accumulator(&self, _: AccumulatorArgs) -> Result<Box<dyn Accumulator>> {
-        Ok(Box::new(OfAll::new(of(self.side))))
-    }
-
-    fn create_sliding_accumulator(&self, _: AccumulatorArgs) -> Result<Box<dyn Accumulator>> {
-        Ok(Box::new(Moving::new(of(self.side))))
-    }
-
-    fn groups_accumulator_supported(&self, _: AccumulatorArgs) -> bool {
-        true
-    }
-
-    fn create_groups_accumulator(&self, _: AccumulatorArgs) -> Result<Box<dyn GroupsAccumulator>> {
-        Ok(Box::new(OfGroups::new(of(self.side))))
+        Ok(Box::new(Found {
+            is_longest: self.is_longest,
+            best: None,
+        }))
     }
 }
 
-fn of(side: Side) -> Extreme<IntervalMonthDayNanoType> {
-    Extreme::new(side, order)
+/// The best so far, with its length; of those of one length by its parts, in whatever order they come.
+#[derive(Debug)]
+struct Found {
+    is_longest: bool,
+    best: Option<(i128, IntervalMonthDayNano)>,
+}
+
+impl Accumulator for Found {
+    fn update_batch(&mut self, values: &[ArrayRef]) -> Result<()> {
+        for intervals in values {
+            let intervals = intervals.as_primitive::<IntervalMonthDayNanoType>();
+            let found = intervals.iter().flatten();
+            let found = found.map(|interval| (length(interval), interval));
+            let all = self.best.into_iter().chain(found);
+            self.best = match self.is_longest {
+                true => all.max(),
+                false => all.min(),
+            };
+        }
+        Ok(())
+    }
+
+    fn merge_batch(&mut self, states: &[ArrayRef]) -> Result<()> {
+        self.update_batch(states)
+    }
+
+    fn state(&mut self) -> Result<Vec<ScalarValue>> {
+        Ok(vec![self.evaluate()?])
+    }
+
+    fn evaluate(&mut self) -> Result<ScalarValue> {
+        let best = self.best.map(|(_, interval)| interval);
+        Ok(ScalarValue::IntervalMonthDayNano(best))
+    }
+
+    fn size(&self) -> usize {
+        size_of_val(self)
+    }
 }
