@@ -40,14 +40,13 @@ pub fn finished(plan: &str, map: &Path, sessions: &[&Path], options: &[&str]) ->
     run.expect("evermap starts").into()
 }
 
-/// Runs a plan with options on sessions of one site, without loss and within `--memory`.
+/// Runs a plan on sessions of one site, without loss and within `--memory`.
 ///
 /// # Panics
 /// Where it fails, or holds more than is promised beside that.
-pub fn run_within(memory_mib: u64, plan: &str, map: &Path, sessions: &[&Path], options: &[&str]) {
+pub fn run_within(memory_mib: u64, plan: &str, map: &Path, sessions: &[&Path]) {
     let limit = format!("{memory_mib}MiB");
-    let options = [&["--memory", &limit], options].concat();
-    let (ended, most) = watched(on_park(plan, map, sessions, &options));
+    let (ended, most) = watched(on_park(plan, map, sessions, &["--memory", &limit]));
     ended.expect(0);
     eprintln!("{plan} within {limit}: {most} MiB resident");
     assert!(most > 0, "nobody looked while it ran");

@@ -75,9 +75,6 @@ fn drawn_spaces_stay(world: &Path, map: &Path) {
     assert!(median_m <= 0.03 && worst_m <= 0.13);
 }
 
-/// Looks for people nearby only, which other tests judge: to look for them farther away would be half of a run's time.
-const PEOPLE_NEARBY: [&str; 2] = ["--set", "person_hypotheses.farthest_m=4"];
-
 #[test]
 fn it_gets_sharper_with_every_drive() {
     let Some(world) = world() else { return };
@@ -98,7 +95,6 @@ fn it_gets_sharper_with_every_drive() {
         "car_park",
         &map,
         &[&session(&world, "revisit_1"), &said],
-        &PEOPLE_NEARBY,
     );
     is_localised(&map, 2, "revisit_1", &truths);
     drawn_spaces_stay(&world, &map);
