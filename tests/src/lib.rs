@@ -166,7 +166,7 @@ pub fn run(plan: &str, map: &Path, sessions: &[&Path], more: &[&str]) -> Finishe
 /// # Panics
 /// Where the query fails.
 pub fn rows_of(map: &Path, query: &str) -> Value {
-    answered(["--map", text(map)], query)
+    answered(&["--map", text(map)], query)
 }
 
 /// The rows that a query of a log has, as JSON.
@@ -174,11 +174,12 @@ pub fn rows_of(map: &Path, query: &str) -> Value {
 /// # Panics
 /// Where the query fails.
 pub fn rows_of_log(log: &Path, query: &str) -> Value {
-    answered(["--sessions", text(log)], query)
+    answered(&["--sessions", text(log)], query)
 }
 
-fn answered([option, path]: [&str; 2], query: &str) -> Value {
-    let asked = ["sql", option, path, "--format", "json", query];
+/// The rows that a query has of what these options name, as JSON.
+fn answered(of: &[&str], query: &str) -> Value {
+    let asked = [&["sql"], of, &["--format", "json", query]].concat();
     evermap(&asked).expect(0).json()
 }
 

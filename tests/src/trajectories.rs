@@ -10,7 +10,7 @@ use evermap_bench::trajectory::{
 };
 use serde_json::Value;
 
-use crate::{evermap, text};
+use crate::{answered, text};
 
 /// Poses of a drive further apart than this are not interpolated, ns.
 const MAX_GAP_NS: i64 = 500_000_000;
@@ -34,13 +34,11 @@ pub fn truth(path: &Path) -> Vec<StampedPose> {
 /// Where the query fails.
 pub fn rows(map: &Path, version: Option<u32>, sql: &str) -> Vec<Value> {
     let version = version.map(|version| version.to_string());
-    let mut arguments = vec!["sql", "--map", text(map), "--format", "json"];
+    let mut of = vec!["--map", text(map)];
     if let Some(version) = &version {
-        arguments.extend(["--version", version]);
+        of.extend(["--version", version]);
     }
-    arguments.push(sql);
-    let json = evermap(&arguments).expect(0).json();
-    json.as_array().cloned().unwrap_or_default()
+    answered(&of, sql).as_array().cloned().unwrap_or_default()
 }
 
 /// The poses in `column` of a layer, by session.
