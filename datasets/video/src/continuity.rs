@@ -1,24 +1,18 @@
 //! Whether frames follow each other, by the heads of their slices: a decoder goes on without one that is missing, and
 //! shows others that are wrong.
 
-use crate::gap::MISSING;
+use crate::gap::{Follow, MISSING};
 use crate::{Codec, h264, h265};
 
 /// What has come of a stream.
 #[derive(Debug)]
 pub struct Continuity {
     codec: Codec,
-    pictures: Pictures,
+    pictures: Box<dyn Follow>,
     /// The last frame that follows those before it.
     last: Vec<u8>,
     /// Whether frames are missing since the last key frame.
     is_broken: bool,
-}
-
-#[derive(Debug)]
-enum Pictures {
-    H264(h264::Pictures),
-    H265(h265::Pictures),
 }
 
 impl Continuity {
@@ -27,8 +21,8 @@ impl Continuity {
         Self {
             codec,
             pictures: match codec {
-                Codec::H264 => Pictures::H264(h264::Pictures::default()),
-                Codec::H265 => Pictures::H265(h265::Pictures::default()),
+                Codec::H264 => Box::new(h264::Pictures::default()),
+                Codec::H265 => Box::new(h265::Pictures::default()),
             },
             last: Vec::new(),
             is_broken: false,
@@ -45,10 +39,7 @@ impl Continuity {
         if self.is_broken && !self.codec.has_key(frame) {
             return Err(MISSING.to_owned());
         }
-        let followed = match &mut self.pictures {
-            Pictures::H264(pictures) => pictures.follow(frame),
-            Pictures::H265(pictures) => pictures.follow(frame),
-        };
+        let followed = self.pictures.follow(frame);
         if followed.is_err() && self.last == frame {
             return Ok(false);
         }

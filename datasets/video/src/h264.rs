@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use crate::bits::{Bits, units};
-use crate::gap::{AGAIN, MISSING};
+use crate::gap::{AGAIN, Follow, MISSING};
 
 /// Most entries of a list of references.
 const MOST_REFERENCES: u32 = 32;
@@ -75,12 +75,8 @@ enum Kind {
     Intra,
 }
 
-impl Pictures {
-    /// Looks at a frame; one that is refused is as if it had not come.
-    ///
-    /// # Errors
-    /// In words, where a frame before it is missing.
-    pub(crate) fn follow(&mut self, frame: &[u8]) -> Result<(), String> {
+impl Follow for Pictures {
+    fn follow(&mut self, frame: &[u8]) -> Result<(), String> {
         let mut begins = true;
         for unit in units(frame) {
             match unit[0] & 0x1f {
@@ -95,7 +91,9 @@ impl Pictures {
         }
         Ok(())
     }
+}
 
+impl Pictures {
     fn slice(&mut self, unit: &[u8], begins: bool) -> Result<(), String> {
         let head = self.head(unit);
         let Some((head, sequence)) = head else {

@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use crate::bits::{Bits, index_bits, units};
-use crate::gap::{AGAIN, MISSING};
+use crate::gap::{AGAIN, Follow, MISSING};
 
 mod references;
 mod sequence;
@@ -92,12 +92,8 @@ struct Head {
     references: Vec<Reference>,
 }
 
-impl Pictures {
-    /// Looks at a frame; one that is refused is as if it had not come.
-    ///
-    /// # Errors
-    /// In words, where a frame that it refers to is missing.
-    pub(crate) fn follow(&mut self, frame: &[u8]) -> Result<(), String> {
+impl Follow for Pictures {
+    fn follow(&mut self, frame: &[u8]) -> Result<(), String> {
         for unit in units(frame) {
             let &[head, second, ..] = unit else {
                 continue;
@@ -117,7 +113,9 @@ impl Pictures {
         }
         Ok(())
     }
+}
 
+impl Pictures {
     fn slice(&mut self, kind: Kind, is_lowest_layer: bool, unit: &[u8]) -> Result<(), String> {
         let mut bits = Bits::of(unit);
         // All slices of a picture say the same.

@@ -1,6 +1,7 @@
 #![allow(clippy::unwrap_used)]
 use super::*;
 use crate::bits::written::Written;
+use crate::gap::asked::{all_follow, followed, torn_ones_are_left_to_the_decoder};
 
 /// A sequence parameter set of the main profile with 4 bits of `frame_num`, its order as decoded.
 fn sequence(gaps_allowed: u32) -> Vec<u8> {
@@ -38,25 +39,15 @@ fn aside(number: u32) -> Vec<u8> {
     slice(0x01, 0, number).flags(&[0, 0]).bytes()
 }
 
-fn followed(frames: &[Vec<u8>]) -> Vec<Result<(), String>> {
-    let mut pictures = Pictures::default();
-    let frames = frames.iter().map(|frame| pictures.follow(frame));
-    frames.collect()
-}
-
-fn all_follow(frames: &[Vec<u8>]) {
-    assert_eq!(followed(frames), vec![Ok(()); frames.len()]);
-}
-
 #[test]
 fn pictures_that_follow_each_other_do_round_after_round() {
     let mut frames = vec![key()];
     frames.extend((1..40).map(|number| reference(number % 16)));
     frames.extend([key(), reference(1)]);
-    all_follow(&frames);
+    all_follow::<Pictures>(&frames);
     // Slices of one picture, in one message and in two.
     let second = slice(0x41, 8, 1).flags(&[0, 0, 0]).bytes();
-    all_follow(&[
+    all_follow::<Pictures>(&[
         key(),
         [reference(1), second.clone()].concat(),
         second,
@@ -69,34 +60,34 @@ fn a_reference_that_is_missing_is_told_up_to_the_next_key_frame() {
     let missing = || Err(MISSING.to_owned());
     let frames = [key(), reference(1), reference(3), reference(4), key()];
     let expected = [Ok(()), Ok(()), missing(), missing(), Ok(())];
-    assert_eq!(followed(&frames), expected);
+    assert_eq!(followed::<Pictures>(&frames), expected);
     // From 15 to 1: 0 is missing.
     let mut frames = vec![key()];
     frames.extend((1..16).map(reference));
     frames.push(reference(1));
-    assert_eq!(followed(&frames).pop(), Some(missing()));
-    assert_eq!(followed(&[key(), reference(2)])[1], missing());
+    assert_eq!(followed::<Pictures>(&frames).pop(), Some(missing()));
+    assert_eq!(followed::<Pictures>(&[key(), reference(2)])[1], missing());
 }
 
 #[test]
 fn a_picture_that_none_refers_to_may_be_missing() {
-    all_follow(&[key(), aside(1), aside(1), reference(1), reference(2)]);
-    all_follow(&[key(), reference(1), reference(2)]);
+    all_follow::<Pictures>(&[key(), aside(1), aside(1), reference(1), reference(2)]);
+    all_follow::<Pictures>(&[key(), reference(1), reference(2)]);
     let frames = [key(), aside(1), aside(2)];
-    assert_eq!(followed(&frames)[2], Err(MISSING.to_owned()));
+    assert_eq!(followed::<Pictures>(&frames)[2], Err(MISSING.to_owned()));
 }
 
 #[test]
 fn gaps_that_a_sequence_allows_are_none() {
     let key = [key(), sequence(1)].concat();
-    all_follow(&[key, reference(5), reference(9)]);
+    all_follow::<Pictures>(&[key, reference(5), reference(9)]);
 }
 
 #[test]
 fn a_reference_that_comes_twice_is_told() {
     let frames = [key(), reference(1), reference(1), reference(2)];
     let expected = [Ok(()), Ok(()), Err(AGAIN.to_owned()), Ok(())];
-    assert_eq!(followed(&frames), expected);
+    assert_eq!(followed::<Pictures>(&frames), expected);
 }
 
 #[test]
@@ -106,12 +97,12 @@ fn numbers_begin_anew_behind_a_picture_that_says_so() {
     let resets = resets.unsigned(&[3, 1, 0, 5, 0]).bytes();
     let second = slice(0x41, 8, 2).flags(&[0, 0, 1]).unsigned(&[5, 0]);
     let picture = [resets, second.bytes()].concat();
-    all_follow(&[key(), reference(1), picture.clone(), reference(1)]);
+    all_follow::<Pictures>(&[key(), reference(1), picture.clone(), reference(1)]);
     let frames = [key(), reference(1), picture, reference(3)];
-    assert_eq!(followed(&frames)[3], Err(MISSING.to_owned()));
+    assert_eq!(followed::<Pictures>(&frames)[3], Err(MISSING.to_owned()));
     // Without, 1 does not follow 2.
     let frames = [key(), reference(1), reference(2), reference(1)];
-    assert_eq!(followed(&frames)[3], Err(MISSING.to_owned()));
+    assert_eq!(followed::<Pictures>(&frames)[3], Err(MISSING.to_owned()));
 }
 
 #[test]
@@ -156,18 +147,8 @@ fn high_profiles_weights_and_orders_are_read_over() {
 #[test]
 fn heads_that_are_torn_are_left_to_the_decoder() {
     let frames = [key(), reference(1), reference(3)];
-    for frame in &frames {
-        for length in 0..frame.len() {
-            let mut pictures = Pictures::default();
-            pictures.follow(&frame[..length]).unwrap();
-            for flipped in 0..8 {
-                let mut forged = frame.clone();
-                forged[length] ^= 1 << flipped;
-                pictures.follow(&forged).ok();
-            }
-        }
-    }
+    torn_ones_are_left_to_the_decoder::<Pictures>(&frames);
     // Nothing is known behind one.
     let torn = reference(1)[..5].to_vec();
-    all_follow(&[key(), torn, reference(9)]);
+    all_follow::<Pictures>(&[key(), torn, reference(9)]);
 }

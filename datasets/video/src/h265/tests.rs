@@ -1,6 +1,7 @@
 #![allow(clippy::unwrap_used)]
 use super::*;
 use crate::bits::written::Written;
+use crate::gap::asked::{all_follow, followed, torn_ones_are_left_to_the_decoder};
 
 const SEQUENCE: [u8; 2] = [33 << 1, 1];
 const SET: [u8; 2] = [34 << 1, 1];
@@ -71,16 +72,6 @@ fn own(kind: u8, place: u32, before: &[(u32, u32)]) -> Vec<u8> {
     slice.unsigned(&[0, 0]).bytes()
 }
 
-fn followed(frames: &[Vec<u8>]) -> Vec<Result<(), String>> {
-    let mut pictures = Pictures::default();
-    let frames = frames.iter().map(|frame| pictures.follow(frame));
-    frames.collect()
-}
-
-fn all_follow(frames: &[Vec<u8>]) {
-    assert_eq!(followed(frames), vec![Ok(()); frames.len()]);
-}
-
 fn missing() -> Result<(), String> {
     Err(MISSING.to_owned())
 }
@@ -99,38 +90,38 @@ fn pictures_that_follow_each_other_do_round_after_round() {
     let mut frames = vec![key()];
     frames.extend((1..40).map(|place| next(place % 16)));
     frames.extend([key(), next(1)]);
-    all_follow(&frames);
+    all_follow::<Pictures>(&frames);
 }
 
 #[test]
 fn a_picture_that_another_needs_is_told_up_to_the_next_key_frame() {
     let frames = [key(), next(1), next(3), next(4), key(), next(1)];
     let expected = [Ok(()), Ok(()), missing(), missing(), Ok(()), Ok(())];
-    assert_eq!(followed(&frames), expected);
+    assert_eq!(followed::<Pictures>(&frames), expected);
     // What is named and not used may be missing, what is not named is forgotten.
-    all_follow(&[key(), own(1, 2, &[(1, 0), (1, 1)])]);
+    all_follow::<Pictures>(&[key(), own(1, 2, &[(1, 0), (1, 1)])]);
     let frames = [key(), next(1), next(2), own(1, 3, &[(3, 1)])];
-    assert_eq!(followed(&frames)[3], missing());
+    assert_eq!(followed::<Pictures>(&frames)[3], missing());
     let kept = named(1, 2, 1).bytes();
-    all_follow(&[key(), next(1), kept, own(1, 3, &[(1, 1), (2, 1)])]);
+    all_follow::<Pictures>(&[key(), next(1), kept, own(1, 3, &[(1, 1), (2, 1)])]);
 }
 
 #[test]
 fn a_picture_that_none_refers_to_may_be_missing_and_moves_no_place() {
-    all_follow(&[key(), own(0, 5, &[(5, 1)]), next(1), next(2)]);
-    all_follow(&[key(), next(1), next(2)]);
+    all_follow::<Pictures>(&[key(), own(0, 5, &[(5, 1)]), next(1), next(2)]);
+    all_follow::<Pictures>(&[key(), next(1), next(2)]);
     // 12 is the place before 0 by the lowest bits, and behind 5.
     let later = own(1, 12, &[(12, 1)]);
-    all_follow(&[key(), own(1, 5, &[(5, 1)]), later.clone()]);
+    all_follow::<Pictures>(&[key(), own(1, 5, &[(5, 1)]), later.clone()]);
     let frames = [key(), own(0, 5, &[(5, 1)]), later];
-    assert_eq!(followed(&frames)[2], missing());
+    assert_eq!(followed::<Pictures>(&frames)[2], missing());
 }
 
 #[test]
 fn a_place_that_comes_twice_is_told() {
     let frames = [key(), next(1), next(1), next(2)];
     let expected = [Ok(()), Ok(()), Err(AGAIN.to_owned()), Ok(())];
-    assert_eq!(followed(&frames), expected);
+    assert_eq!(followed::<Pictures>(&frames), expected);
 }
 
 #[test]
@@ -141,24 +132,24 @@ fn pictures_far_away_are_found_by_their_lowest_bits_or_exactly() {
     };
     // By the only index, which has no bits.
     let by_index = |place: u32| far(place).unsigned(&[1, 0]).flags(&[0]).bytes();
-    all_follow(&[key(), by_index(1)]);
-    assert_eq!(followed(&[open(5), by_index(6)])[1], missing());
+    all_follow::<Pictures>(&[key(), by_index(1)]);
+    assert_eq!(followed::<Pictures>(&[open(5), by_index(6)])[1], missing());
     // By lowest bits of its own, and how many rounds before.
     let exact = |rounds: u32| {
         let slice = far(1).unsigned(&[0, 1]).number(4, 0);
         slice.flags(&[1, 1]).unsigned(&[rounds]).bytes()
     };
-    all_follow(&[key(), exact(0)]);
-    assert_eq!(followed(&[key(), exact(1)])[1], missing());
+    all_follow::<Pictures>(&[key(), exact(0)]);
+    assert_eq!(followed::<Pictures>(&[key(), exact(1)])[1], missing());
 }
 
 #[test]
 fn pictures_before_the_first_key_frame_are_left_out_and_later_ones_are_not() {
     let leading = own(9, 3, &[(2, 1)]);
-    all_follow(&[open(5), leading.clone(), own(1, 6, &[(1, 1)])]);
+    all_follow::<Pictures>(&[open(5), leading.clone(), own(1, 6, &[(1, 1)])]);
     // The key frame forgets the picture that the leading one needs.
     let frames = [key(), next(1), open(5), leading];
-    assert_eq!(followed(&frames)[3], missing());
+    assert_eq!(followed::<Pictures>(&frames)[3], missing());
 }
 
 #[test]
@@ -166,23 +157,13 @@ fn other_layers_and_later_slices_are_not_looked_at() {
     // Its second byte begins with the layer.
     let other = [&[0, 0, 1, 2, 9][..], &next(9)[5..]].concat();
     let later = Written::unit(&[2, 1]).flags(&[0]).number(16, 3).bytes();
-    all_follow(&[key(), other, later, next(1)]);
+    all_follow::<Pictures>(&[key(), other, later, next(1)]);
 }
 
 #[test]
 fn heads_that_are_torn_are_left_to_the_decoder() {
     let frames = [key(), open(3), next(1), own(1, 3, &[(1, 1), (2, 1)])];
-    for frame in &frames {
-        for length in 0..frame.len() {
-            let mut pictures = Pictures::default();
-            pictures.follow(&frame[..length]).unwrap();
-            for flipped in 0..8 {
-                let mut forged = frame.clone();
-                forged[length] ^= 1 << flipped;
-                pictures.follow(&forged).ok();
-            }
-        }
-    }
+    torn_ones_are_left_to_the_decoder::<Pictures>(&frames);
     let torn = next(1)[..6].to_vec();
-    all_follow(&[key(), torn, next(9)]);
+    all_follow::<Pictures>(&[key(), torn, next(9)]);
 }
