@@ -385,10 +385,45 @@ fn numbers(value: &Value) -> Option<Vec<f64>> {
     value.as_array()?.iter().map(Value::as_f64).collect()
 }
 
-/// Width and height, where both are said.
-fn both([width, height]: [Option<f64>; 2]) -> Option<[f64; 2]> {
-    Some([width?, height?])
+/// The list of this name; `None` where there is none.
+///
+/// # Errors
+/// A user fault for what is no list: who reads nothing of it takes for gone what is there.
+fn listed<'v>(value: &'v Value, name: &str) -> Result<Option<&'v [Value]>, Fault> {
+    let found = match &value[name] {
+        Value::Null => return Ok(None),
+        Value::Array(list) => return Ok(Some(list)),
+        Value::Object(_) => "an object",
+        Value::String(_) => "a text",
+        Value::Number(_) => "a number",
+        Value::Bool(_) => "true or false",
+    };
+    let fault = format!("expected a list of {name}, found {found}");
+    Err(Fault::user(fault).next("export it from the program anew, as it writes it"))
 }
+
+/// A number, or what else is there, as the file has it; `None` where nothing is.
+fn written(value: &Value) -> Option<String> {
+    match value {
+        Value::Null => None,
+        Value::String(text) => Some(text.clone()),
+        other => Some(other.to_string()),
+    }
+}
+
+/// Degrees by which a shape is turned; 0 where nothing is said.
+///
+/// # Errors
+/// In words, for what is no number: the shape lies otherwise than it would be read.
+fn degrees(value: &Value) -> Result<f64, &'static str> {
+    match value {
+        Value::Null => Ok(0.0),
+        value => value.as_f64().ok_or(TURNED),
+    }
+}
+
+/// Why a shape is left out.
+const TURNED: &str = "annotation whose rotation is no number of degrees";
 
 #[cfg(test)]
 mod tests;
