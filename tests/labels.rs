@@ -635,7 +635,7 @@ fn a_label_whose_session_was_replaced_is_held_by_no_frame_that_has_the_number_of
     });
     write_drive(&lot.path("a.mcap"), back);
     let run = lot.run(&["a.mcap"]).expect(3);
-    let told = "1  label whose session is gone, placed where it was before";
+    let told = "1  label of an instant that its session has no pose at, placed where it was before";
     assert!(run.stderr.contains(told), "{}", run.stderr);
     let numbered = "SELECT count(*) AS n FROM map_frames JOIN label_anchors USING (site, frame)";
     assert_eq!(lot.ask(numbered)[0]["n"], 1, "the number is there again");
