@@ -137,6 +137,16 @@ fn centroid(corners: &[[f64; 3]]) -> Vector3<f64> {
     mean + Vector3::new(centre.x, centre.y, 0.0)
 }
 
+/// What corners enclose, seen from above, m².
+pub fn area(corners: &[[f64; 3]]) -> f64 {
+    let Some([x, y, _]) = corners.first() else {
+        return 0.0;
+    };
+    // From the first one, as products of large coordinates are rounded.
+    let twice = edges(corners).map(|(a, b)| (a[0] - x) * (b[1] - y) - (b[0] - x) * (a[1] - y));
+    twice.sum::<f64>().abs() / 2.0
+}
+
 /// The point at half the length of a polyline.
 fn halfway(points: &[[f64; 3]]) -> Vector3<f64> {
     let points: Vec<Vector3<f64>> = points.iter().map(|point| Vector3::from(*point)).collect();
@@ -257,6 +267,16 @@ mod tests {
         let [length, width] = size(&found.points).unwrap();
         assert!((length - 5.0).abs() < 1e-9 && (width - 2.4).abs() < 1e-9);
         assert!((found.map_from_label.translation.z - 0.45).abs() < 1e-9);
+    }
+
+    #[test]
+    fn the_area_of_corners_is_the_same_far_away() {
+        for away in [0.0, 5e6] {
+            let at = Pose::from_yaw(away, -away, 0.0);
+            assert!((area(&corners(5.0, 2.0, at)) - 10.0).abs() < 1e-6);
+        }
+        assert_eq!(area(&[[0.0; 3], [1.0, 1.0, 0.0], [3.0, 3.0, 9.0]]), 0.0);
+        assert_eq!(area(&[]), 0.0);
     }
 
     #[test]
