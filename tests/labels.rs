@@ -507,6 +507,7 @@ fn what_makes_no_sense_is_counted_and_said_and_the_rest_is_kept() {
         ("short", line(&[[1.0, 1.0]])),
         ("far", space(900.0, 2.0)),
         ("empty", Value::Null),
+        ("two\nlines", space(10.0, 2.0)),
     ]);
     let said = lot.import("ada", &bad, &SPACE).expect(3);
     for told in [
@@ -517,6 +518,7 @@ fn what_makes_no_sense_is_counted_and_said_and_the_rest_is_kept() {
         "feature 5, label short: line of less than two points",
         "feature 6, label far: label too far from every vehicle pose",
         "feature 7, label empty: label that is not there",
+        "1  feature of a kind, or a label, whose name has a control character",
         "ada.mcap: 2 drawn",
     ] {
         assert!(said.stderr.contains(told), "{told}: {}", said.stderr);

@@ -8,6 +8,7 @@ use evermap_catalog::painted::ImageKey;
 use evermap_datasets::annotations::{Anchor, Annotation, Geometry};
 use evermap_engine::digest::digest_of;
 use evermap_schemas::layers::PlacedLabel;
+use evermap_schemas::roles::annotations::is_word;
 use evermap_schemas::{Fault, Pose, Stamp, roles};
 use nalgebra::Vector3;
 
@@ -99,6 +100,11 @@ fn acts(
     let Some(kind) = kind.or(known.map(|known| &known.kind)) else {
         return Ok(Err("feature without a kind"));
     };
+    if !is_word(kind) || !is_word(&label) {
+        return Ok(Err(
+            "feature of a kind, or a label, whose name has a control character",
+        ));
+    }
     let standing = feature.standing.as_deref();
     if standing.is_some_and(|word| !STANDINGS.contains(&word)) {
         return Ok(Err("feature of an unknown standing"));

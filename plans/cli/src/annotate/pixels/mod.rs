@@ -13,6 +13,7 @@ use std::path::Path;
 use clap::ValueEnum;
 use evermap_schemas::Fault;
 use evermap_schemas::layers::{BoxHypothesis, PlacedLabel};
+use evermap_schemas::roles::annotations::is_word;
 use serde_json::Value;
 
 pub(super) use boxes::{Boxes, PictureBox};
@@ -43,7 +44,7 @@ pub enum Program {
     Cvat,
     /// A task of Label Studio, with what the map proposes as predictions.
     LabelStudio,
-    /// YOLO's oriented boxes, with the names of their classes in classes.txt beside.
+    /// YOLO's oriented boxes, with the names of their classes in classes.txt beside; classes that it has keep their numbers.
     YoloObb,
 }
 
@@ -117,7 +118,7 @@ impl Program {
     /// has no form for is noted and left out.
     ///
     /// # Errors
-    /// As [`write_file`](crate::output::write_file), of the classes' file.
+    /// As [`write_file`](crate::output::write_file), of the classes' file, and a user fault for a file in its place.
     pub fn write(
         self,
         path: &Path,
@@ -129,7 +130,7 @@ impl Program {
         let mut drawn = Vec::new();
         for label in labels {
             let seen = Drawn::of_label(label, picture);
-            match self.lacks(&seen.shape) {
+            match self.lacks(&seen) {
                 None if seen.is_in(picture.size) => drawn.push(seen),
                 None => losses.note("label outside of the picture", &seen.place),
                 Some(reason) => losses.note(reason, &seen.place),
@@ -146,9 +147,14 @@ impl Program {
         }
     }
 
-    /// Why a shape cannot be said.
-    fn lacks(self, shape: &Shape) -> Option<&'static str> {
-        match (self, shape) {
+    /// Why a label cannot be said.
+    fn lacks(self, drawn: &Drawn) -> Option<&'static str> {
+        let mut words = [&drawn.kind, &drawn.name].into_iter().flatten();
+        // An older evermap took any text.
+        if words.any(|word| !is_word(word)) {
+            return Some("label whose kind or name has a control character");
+        }
+        match (self, &drawn.shape) {
             (Self::YoloObb, Shape::Closed(_)) => {
                 Some("polygon, which YOLO's oriented boxes are not")
             }

@@ -715,3 +715,48 @@ fn a_file_without_pictures_has_annotations_of_one() {
     let said = told(&file(&[99, 7])).unwrap_err();
     assert!(said.contains("annotations of images 99 and 7"), "{said}");
 }
+
+fn of_kind(kind: &str, x: f64) -> PlacedLabel {
+    PlacedLabel {
+        kind: kind.into(),
+        ..label("a", "box", &of_box([x, 15.0], 0.5, [2.0, 1.0]))
+    }
+}
+
+/// Files of a folder share the names of their classes.
+#[test]
+fn classes_of_boxes_that_are_there_keep_their_numbers() {
+    let folder = tempfile::tempdir().unwrap();
+    let picture = picture(folder.path());
+    let write = |name: &str, labels: &[PlacedLabel]| {
+        let (path, mut losses) = (folder.path().join(name), Losses::default());
+        Program::YoloObb.write(&path, &picture, (labels, &[]), &mut losses)
+    };
+    let classes = || std::fs::read_to_string(folder.path().join("classes.txt")).unwrap();
+    let first = write("a.txt", &[of_kind("space", 13.0)]).unwrap();
+    assert!(first.starts_with("0 ") && classes() == "space\n");
+    let second = write("b.txt", &[of_kind("arrow", 13.0), of_kind("space", 17.0)]).unwrap();
+    let numbers: Vec<&str> = second.lines().map(|line| &line[..2]).collect();
+    assert_eq!(numbers, ["1 ", "0 "]);
+    assert_eq!(classes(), "space\narrow\n");
+    // With fewer, what is there stays.
+    let third = write("c.txt", &[of_kind("arrow", 13.0)]).unwrap();
+    assert!(third.starts_with("1 ") && classes() == "space\narrow\n");
+    for name in ["classes.txt", "Classes.TXT"] {
+        assert!(write(name, &[of_kind("space", 13.0)]).is_err(), "{name}");
+    }
+    assert_eq!(classes(), "space\narrow\n");
+}
+
+/// It would be two classes of YOLO, and no XML.
+#[test]
+fn a_kind_of_two_lines_is_counted() {
+    for program in ALL {
+        let (found, losses) = round_trip(program, &[of_kind("a\nb", 13.0), of_kind("c", 17.0)]);
+        let kinds: Vec<_> = found.iter().map(|one| one.category.as_deref()).collect();
+        assert_eq!(kinds, [Some("c")], "{program:?}");
+        let counts: Vec<_> = losses.counts.into_iter().collect();
+        let told = "label whose kind or name has a control character";
+        assert_eq!(counts, [(told.to_owned(), 1)], "{program:?}");
+    }
+}
