@@ -410,6 +410,51 @@ fn a_feature_that_names_an_image_is_tied_to_it() {
     assert!(!lot.path("bob.mcap").exists());
 }
 
+/// In UTM, or 5 km from the image that is to show it: what covers the labels would cover all in between.
+#[test]
+fn what_lies_kilometres_away_is_refused_left_out_and_can_be_removed() {
+    let lot = Lot::new();
+    lot.run(&["a.mcap"]).expect(0);
+    let mut drawn_far = collection(&[
+        ("utm", space(500_000.0, 5_540_000.0)),
+        ("seen", space(300.0, 2.0)),
+    ]);
+    let first = lot.ask("SELECT CAST(stamp AS BIGINT) AS stamp FROM poses ORDER BY stamp LIMIT 1");
+    drawn_far["features"][1]["properties"]["image"] =
+        json!({ "session": "a", "stamp": first[0]["stamp"], "camera": "front" });
+    let said = lot.import("ada", &drawn_far, &SPACE).expect(3);
+    for told in [
+        "label utm: feature kilometres from every vehicle pose: expected metres in the map's frame",
+        "label seen: feature of an image that was taken hundreds of metres away from it",
+    ] {
+        assert!(said.stderr.contains(told), "{told}: {}", said.stderr);
+    }
+    assert!(!lot.path("ada.mcap").exists());
+
+    // As an older evermap said it, or another program.
+    let early = |label: &str, x, y| Annotation {
+        stamp_ns: 1_700_000_000_000_000_000,
+        ..drawn(label, x, y)
+    };
+    let acts = [early("near", 5.0, 3.0), early("utm", 5e5, 5.54e6)];
+    say(&lot.path("old.mcap"), &acts);
+    let run = lot.run(&["old.mcap"]).expect(3);
+    let told = "1  label kilometres from every vehicle pose, in no layer that labels make";
+    assert!(run.stderr.contains(told), "{}", run.stderr);
+    let near = ("near".to_owned(), 500, 300, "pose".to_owned());
+    assert_eq!(lot.labels(), [near.clone()]);
+    let mut gone = collection(&[("utm", Value::Null)]);
+    gone["features"][0]["properties"]["standing"] = "removed".into();
+    let said = lot.import("ada", &gone, &[]).expect(3);
+    assert!(
+        said.stderr.contains("ada.mcap: 1 removed"),
+        "{}",
+        said.stderr
+    );
+    lot.run(&["ada.mcap"]).expect(0);
+    assert_eq!(lot.labels(), [near]);
+}
+
 /// Somebody with two windows open, who says two things in each; of one label something else.
 #[test]
 fn an_author_twice_at_once_loses_nothing() {
@@ -460,6 +505,7 @@ fn what_makes_no_sense_is_counted_and_said_and_the_rest_is_kept() {
         ("short", line(&[[1.0, 1.0]])),
         ("far", space(900.0, 2.0)),
         ("empty", Value::Null),
+        ("two\nlines", space(10.0, 2.0)),
     ]);
     let said = lot.import("ada", &bad, &SPACE).expect(3);
     for told in [
@@ -470,6 +516,7 @@ fn what_makes_no_sense_is_counted_and_said_and_the_rest_is_kept() {
         "feature 5, label short: line of less than two points",
         "feature 6, label far: label too far from every vehicle pose",
         "feature 7, label empty: label that is not there",
+        "1  feature of a kind, or a label, whose name has a control character",
         "ada.mcap: 2 drawn",
     ] {
         assert!(said.stderr.contains(told), "{told}: {}", said.stderr);
@@ -633,7 +680,7 @@ fn a_label_whose_session_was_replaced_is_held_by_no_frame_that_has_the_number_of
     });
     write_drive(&lot.path("a.mcap"), back);
     let run = lot.run(&["a.mcap"]).expect(3);
-    let told = "1  label whose session is gone, placed where it was before";
+    let told = "1  label of an instant that its session has no pose at, placed where it was before";
     assert!(run.stderr.contains(told), "{}", run.stderr);
     let numbered = "SELECT count(*) AS n FROM map_frames JOIN label_anchors USING (site, frame)";
     assert_eq!(lot.ask(numbered)[0]["n"], 1, "the number is there again");

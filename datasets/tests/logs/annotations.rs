@@ -196,6 +196,9 @@ async fn messages_that_make_no_sense_are_counted_and_the_others_read() {
         }),
         changed(5, |act| act.geometry = None),
         changed(6, |act| act.id.clear()),
+        changed(7, |act| act.id = "a\u{1}b".into()),
+        changed(7, |act| act.kind = "parking\nspace".into()),
+        changed(7, |act| act.author = "ada\t".into()),
     ] {
         log.say_all(&[act]).unwrap();
     }
@@ -209,7 +212,7 @@ async fn messages_that_make_no_sense_are_counted_and_the_others_read() {
     let kinds: Vec<&str> = found.iter().map(|act| act.kind.as_str()).collect();
     assert_eq!(kinds, ["parking_space", "heliport"]);
     let lost = dataset.losses.losses();
-    assert_eq!(lost[&Reason::Senseless].count, 6, "{lost:?}");
+    assert_eq!(lost[&Reason::Senseless].count, 9, "{lost:?}");
 }
 
 #[tokio::test]
@@ -250,6 +253,10 @@ async fn what_is_said_of_images_is_a_table_of_its_own() {
             kind: String::new(),
             ..painted(8)
         },
+        Annotation {
+            kind: "ro\nad".into(),
+            ..painted(9)
+        },
     ] {
         log.say_all(&[bad]).unwrap();
     }
@@ -282,7 +289,7 @@ async fn what_is_said_of_images_is_a_table_of_its_own() {
         (&*second.act, &second.shape, second.points.len()),
         ("removed", &None, 0)
     );
-    assert_eq!(dataset.losses.losses()[&Reason::Senseless].count, 6);
+    assert_eq!(dataset.losses.losses()[&Reason::Senseless].count, 7);
 }
 
 #[test]

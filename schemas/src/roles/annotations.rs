@@ -120,10 +120,22 @@ pub(super) fn is_on_image(fields: &Fields<'_>) -> bool {
     fields.text(&["image", "session"]).is_some()
 }
 
-/// A text that may not be empty.
+/// Whether a text may say what a label is called, what it marks, or who says so: lines and other control characters have no
+/// place in files of other programs.
+pub fn is_word(text: &str) -> bool {
+    !text.is_empty() && !text.contains(char::is_control)
+}
+
+/// A text that is a word.
 pub(super) fn text(fields: &Fields<'_>, name: &str) -> Result<String, String> {
     let found = fields.text(&[name]).filter(|text| !text.is_empty());
-    found.ok_or_else(|| format!("expected text in {name}"))
+    let found = found.ok_or_else(|| format!("expected text in {name}"))?;
+    match is_word(&found) {
+        true => Ok(found),
+        false => Err(format!(
+            "expected text without control characters in {name}"
+        )),
+    }
 }
 
 /// The word, if it is one of these.

@@ -10,7 +10,7 @@ pub struct PlacedLabels;
 
 impl Operator for PlacedLabels {
     const NAME: &'static str = "placed_labels";
-    const VERSION: u32 = 2;
+    const VERSION: u32 = 3;
     const PAGE: &'static str = include_str!("placed_labels.md");
     type Params = PlacingParams;
     type Output = PlacedLabel;
@@ -38,6 +38,8 @@ fn place(
     for label in labels {
         let found = placer.placed(label, &mut |reason, count| emit.skip(reason, count));
         match found {
+            // It is told, and stays in `labels`, so that a person can remove it.
+            Some(label) if placer.is_far(&label.points) => {}
             Some(label) => placed.push(label),
             None => emit.skip("label whose pose is not a rigid transform", 1),
         }

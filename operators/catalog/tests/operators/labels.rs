@@ -300,6 +300,67 @@ fn poses_chosen_anew_hold_labels_in_between_but_not_across_gaps() {
     assert_eq!(place(&now[0]), [7.0, 3.0]);
 }
 
+/// As one drawn in UTM is, or one whose height is no height.
+#[test]
+fn a_label_kilometres_from_every_pose_is_counted_and_makes_nothing_larger() {
+    let map = Version::of(drive("a", [0.0, 0.0]), vec![frame(0, 0.0)]);
+    let high = Annotation {
+        map_from_label: Some(Pose {
+            z: 1e6,
+            ..at(3.0, 3.0, 0.0)
+        }),
+        ..drawn("high", 0.0, 0.0)
+    };
+    // Its anchor is near, it is not.
+    let beside = Anchor {
+        session: "a".into(),
+        stamp: Stamp(7),
+        camera: None,
+        vehicle_from_label: at(0.0, 5000.0, 0.0),
+    };
+    let tied = Annotation {
+        anchor: Some(beside),
+        ..drawn("tied", 7.0, 5000.0)
+    };
+    let said = vec![
+        drawn("near", 7.0, 3.0),
+        drawn("outside", 1900.0, 0.0),
+        drawn("utm", 500_000.0, 5_540_000.0),
+        high,
+        tied,
+    ];
+    let (held, _) = anchors(said, &map, &Version::default(), vec![]);
+    assert_eq!(held.len(), 5, "what people say is kept");
+    let (now, losses) = placed(held.clone(), &map);
+    let names: Vec<&str> = now.iter().map(|row| &*row.label).collect();
+    assert_eq!(names, ["near", "outside"]);
+    let told = "label kilometres from every vehicle pose, in no layer that labels make";
+    assert_eq!((losses.0[told], losses.total()), (3, 3), "{losses:?}");
+    // Where nothing is known of the place, nothing is far.
+    let (now, _) = placed(held, &Version::default());
+    assert_eq!(now.len(), 5);
+}
+
+#[test]
+fn of_an_instant_without_a_pose_it_is_not_said_that_the_session_is_gone() {
+    let map = Version::of(drive("a", [0.0, 0.0]), vec![frame(0, 0.0)]);
+    let anchor = Anchor {
+        session: "a".into(),
+        stamp: Stamp(1_000_000),
+        camera: None,
+        vehicle_from_label: at(0.0, 2.0, 0.0),
+    };
+    let said = Annotation {
+        anchor: Some(anchor),
+        ..drawn("one", 7.0, 3.0)
+    };
+    let (held, _) = anchors(vec![said], &map, &Version::default(), vec![]);
+    let (now, losses) = placed(held, &map);
+    assert_eq!(&*now[0].placed_by, "frame");
+    let told = "label of an instant that its session has no pose at, placed by its frame";
+    assert_eq!((losses.0[told], losses.total()), (1, 1), "{losses:?}");
+}
+
 #[test]
 fn of_spaces_that_were_drawn_on_one_place_the_one_said_last_holds() {
     let at_stamp = |stamp: i64, act: Annotation| Annotation {

@@ -2,9 +2,11 @@
 
 use std::path::Path;
 
+use evermap_algorithms::ground::boxes::area;
 use evermap_algorithms::labels::shapes::{self, Outline, crossing};
 use evermap_catalog::painted::ImageKey;
 use evermap_schemas::Fault;
+use evermap_schemas::roles::FARTHEST_M;
 use serde_json::Value;
 
 use super::mosaic::Picture;
@@ -12,8 +14,8 @@ use super::pixels::Program;
 use super::{Losses, geojson};
 use crate::export::ON_EARTH;
 
-/// Coordinates beyond this are none of a map, m: more than around the Earth.
-const MOST_M: f64 = 1e8;
+/// A polygon of less than this has no area, m²: a square centimetre.
+const LEAST_M2: f64 = 1e-4;
 
 /// One feature of a file.
 #[derive(Debug, Clone, PartialEq)]
@@ -102,10 +104,8 @@ impl Geometry {
         if !points.iter().all(finite) {
             return Err("feature with a coordinate that is not finite");
         }
-        if points
-            .iter()
-            .any(|(at, _)| at[0].abs().max(at[1].abs()) > MOST_M)
-        {
+        let beyond = |(at, z): &Point| at.iter().chain(z).any(|value| value.abs() > FARTHEST_M);
+        if points.iter().any(beyond) {
             return Err("feature with a coordinate too large for metres");
         }
         let count = points.len().max(1) as f64;
@@ -135,8 +135,53 @@ fn closed(mut corners: Vec<[f64; 3]>) -> Result<(&'static str, Outline), &'stati
     if crossing(&corners).is_some() {
         return Err("polygon that crosses itself");
     }
+    let from_above: Vec<[f64; 2]> = corners.iter().map(|[x, y, _]| [*x, *y]).collect();
+    if area(&from_above) < LEAST_M2 {
+        return Err("polygon of no area: its corners lie on one line, or on one another");
+    }
     Ok(match shapes::oriented_box(&corners) {
         Some(found) => ("box", found),
         None => ("polygon", shapes::polygon(&corners)),
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn outline(points: &[[f64; 2]], z: Option<f64>) -> Result<&'static str, &'static str> {
+        let points = points.iter().map(|at| (*at, z)).collect();
+        let outline = Geometry::Closed(points).outline(|_| 0.0);
+        outline.map(|(shape, _)| shape)
+    }
+
+    /// No run would read what is written of it.
+    #[test]
+    fn heights_are_bounded_as_places_are() {
+        let triangle = [[0.0, 0.0], [3.0, 0.0], [0.0, 3.0]];
+        assert_eq!(outline(&triangle, Some(5.0)), Ok("polygon"));
+        let told = Err("feature with a coordinate too large for metres");
+        for z in [1e10, -1e10, 1e308] {
+            assert_eq!(outline(&triangle, Some(z)), told);
+            assert_eq!(outline(&[[z, 0.0], [3.0, 0.0], [0.0, 3.0]], None), told);
+        }
+    }
+
+    #[test]
+    fn a_polygon_has_an_area() {
+        let told = Err("polygon of no area: its corners lie on one line, or on one another");
+        assert_eq!(outline(&[[0.0, 0.0], [1.0, 1.0], [3.0, 3.0]], None), told);
+        let square = |x: f64, side: f64| {
+            let corners = [
+                [x, 5.0],
+                [x + side, 5.0],
+                [x + side, 5.0 + side],
+                [x, 5.0 + side],
+            ];
+            outline(&corners, None)
+        };
+        assert_eq!(square(5.0, 1e-9), told);
+        assert_eq!(square(5.0, 0.02), Ok("box"));
+        assert_eq!(square(5e6, 0.02), Ok("box"));
+    }
 }

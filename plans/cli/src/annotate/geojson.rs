@@ -12,6 +12,12 @@ use super::{Losses, is_blank};
 /// # Errors
 /// A user fault for a collection without a list of features.
 pub fn features(value: &Value, losses: &mut Losses) -> Result<Vec<Feature>, Fault> {
+    if let Some(name) = value["crs"]["properties"]["name"].as_str() {
+        // Programs that know of no local metres write one.
+        losses.remark(&format!(
+            "note: coordinates are read as the map's metres, whatever `crs` of the file says: {name}"
+        ));
+    }
     let all = match value["type"].as_str() {
         Some("FeatureCollection") => value["features"].as_array().cloned().ok_or_else(|| {
             Fault::user("expected a list of features in a FeatureCollection, found none")
@@ -22,37 +28,52 @@ pub fn features(value: &Value, losses: &mut Losses) -> Result<Vec<Feature>, Faul
     };
     let mut found = Vec::with_capacity(all.len());
     for (number, value) in all.iter().enumerate() {
-        let label = label(value);
-        let place = match &label {
+        let place = match text(label(value)) {
             Some(label) => format!("feature {number}, label {label}"),
             None => format!("feature {number}"),
         };
-        let read = geometry(&value["geometry"])
-            .and_then(|geometry| Ok((geometry, image(&value["properties"]["image"])?)));
-        match read {
-            Ok((geometry, image)) => found.push(Feature {
-                place,
-                label,
-                within_m: None,
-                kind: text(&value["properties"]["kind"]),
-                category: None,
-                standing: text(&value["properties"]["standing"]),
-                geometry,
-                brush_px: value["properties"]["brush_px"].as_f64(),
-                image,
-            }),
+        match feature(value, &place) {
+            Ok(feature) => found.push(feature),
             Err(reason) => losses.note(reason, &place),
         }
     }
     Ok(found)
 }
 
+/// # Errors
+/// In words, for what is no feature of a map.
+fn feature(value: &Value, place: &str) -> Result<Feature, &'static str> {
+    let properties = &value["properties"];
+    Ok(Feature {
+        place: place.to_owned(),
+        label: said(label(value))?,
+        within_m: None,
+        kind: said(&properties["kind"])?,
+        category: None,
+        standing: said(&properties["standing"])?,
+        geometry: geometry(&value["geometry"])?,
+        brush_px: properties["brush_px"].as_f64(),
+        image: image(&properties["image"])?,
+    })
+}
+
 /// The label that a feature is: its property `label`, and only where it has no such property its `id`, which other programs
 /// make of the numbers of rows.
-fn label(feature: &Value) -> Option<String> {
-    match feature["properties"].get("label") {
-        Some(label) => text(label),
-        None => text(&feature["id"]),
+fn label(feature: &Value) -> &Value {
+    let property = feature["properties"].get("label");
+    property.unwrap_or(&feature["id"])
+}
+
+/// A text, where there is one.
+///
+/// # Errors
+/// In words, for what is there and is none: what it says is not known.
+fn said(value: &Value) -> Result<Option<String>, &'static str> {
+    match value {
+        Value::Array(_) | Value::Object(_) | Value::Bool(_) => {
+            Err("feature whose label, kind or standing is neither text nor number")
+        }
+        value => Ok(text(value)),
     }
 }
 
@@ -178,6 +199,33 @@ mod tests {
         ] {
             assert_eq!(read(bad.clone()), None, "{bad}");
         }
+    }
+
+    #[test]
+    fn what_a_feature_says_in_no_words_is_not_taken_for_nothing() {
+        for (name, value) in [
+            ("label", json!({ "name": "one" })),
+            ("kind", json!(["car"])),
+            ("standing", json!(true)),
+        ] {
+            let properties = json!({ name: value });
+            let feature = json!({ "type": "Feature", "properties": properties, "geometry": null });
+            let mut losses = Losses::default();
+            assert!(features(&feature, &mut losses).unwrap().is_empty());
+            let told =
+                "feature 0: feature whose label, kind or standing is neither text nor number";
+            assert_eq!(losses.lines, [told]);
+        }
+    }
+
+    #[test]
+    fn a_reference_system_is_told_and_coordinates_are_metres() {
+        let name = "urn:ogc:def:crs:EPSG::4326";
+        let crs = json!({ "type": "name", "properties": { "name": name } });
+        let file = json!({ "type": "FeatureCollection", "features": [], "crs": crs });
+        let mut losses = Losses::default();
+        features(&file, &mut losses).unwrap();
+        assert!(losses.counts.is_empty() && losses.lines[0].contains(name));
     }
 
     #[test]

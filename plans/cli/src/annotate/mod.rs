@@ -25,6 +25,7 @@ use std::path::Path;
 use evermap_datasets::annotations::{AnnotationLog, RecordingError};
 use evermap_engine::map::version::Version;
 use evermap_schemas::Fault;
+use evermap_schemas::roles::annotations::is_word;
 
 use crate::output::outside_of_maps;
 use crate::progress::line;
@@ -80,7 +81,7 @@ pub fn user() -> String {
     let named = ["USER", "USERNAME"]
         .into_iter()
         .find_map(|name| std::env::var(name).ok());
-    let named = named.filter(|name| !is_blank(name));
+    let named = named.filter(|name| !is_blank(name) && is_word(name));
     named.unwrap_or_else(|| "unknown".to_owned())
 }
 

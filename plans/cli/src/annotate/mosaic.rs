@@ -1,9 +1,11 @@
 //! Where the pixels of a mosaic are in the map, as its world file says.
 
+use std::fmt::Display;
 use std::fs::File;
 use std::io::BufReader;
 use std::path::Path;
 
+use evermap_datasets::no_file;
 use evermap_schemas::Fault;
 
 use crate::earth::beside;
@@ -28,9 +30,12 @@ impl Picture {
     /// A user fault where either is missing, or not what it is named.
     pub fn read(path: &Path) -> Result<Self, Fault> {
         let at = |fault: Fault| fault.at(path.display());
-        let file = File::open(path);
-        let file =
-            file.map_err(|error| at(Fault::user(format!("expected a mosaic, found {error}"))))?;
+        let unread =
+            |found: &dyn Display| at(Fault::user(format!("expected a mosaic, found {found}")));
+        if let Some(kind) = no_file(path).map_err(|error| unread(&error))? {
+            return Err(unread(&kind));
+        }
+        let file = File::open(path).map_err(|error| unread(&error))?;
         let header = png::Decoder::new(BufReader::new(file)).read_info();
         let header =
             header.map_err(|error| at(Fault::user(format!("expected a PNG, found {error}"))))?;
@@ -156,6 +161,22 @@ mod tests {
             assert!((x - place[0]).abs() < 1e-9 && (y - place[1]).abs() < 1e-9);
             let [column, row] = found.inverse().turned(place).map(|value| value + 0.5);
             assert!((column - pixel[0]).abs() < 1e-9 && (row - pixel[1]).abs() < 1e-9);
+        }
+    }
+
+    /// Reading a pipe would wait for ever.
+    #[test]
+    fn a_mosaic_is_a_file() {
+        let folder = tempfile::tempdir().unwrap();
+        let pipe = folder.path().join("lot.png");
+        let made = std::process::Command::new("mkfifo").arg(&pipe).status();
+        assert!(made.unwrap().success());
+        for (path, expected) in [
+            (pipe.as_path(), "expected a mosaic, found a named pipe"),
+            (folder.path(), "expected a mosaic, found a folder"),
+        ] {
+            let fault = Picture::read(path).unwrap_err().to_string();
+            assert!(fault.contains(expected), "{fault}");
         }
     }
 

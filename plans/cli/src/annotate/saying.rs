@@ -8,6 +8,7 @@ use evermap_catalog::painted::ImageKey;
 use evermap_datasets::annotations::{Anchor, Annotation, Geometry};
 use evermap_engine::digest::digest_of;
 use evermap_schemas::layers::PlacedLabel;
+use evermap_schemas::roles::annotations::is_word;
 use evermap_schemas::{Fault, Pose, Stamp, roles};
 use nalgebra::Vector3;
 
@@ -18,6 +19,8 @@ use super::state::{State, image_of, without_poses};
 
 /// A label that was not drawn on a picture has moved where a point of it has by more than this, m.
 const MOVED_M: f64 = 1e-3;
+/// No image shows well enough what lies farther from the vehicle that took it, m.
+const SEEN_M: f64 = 200.0;
 
 /// Who says, and when.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -76,22 +79,13 @@ fn acts(
     speaker: &Speaker,
     losses: &mut Losses,
 ) -> Result<Result<Vec<Annotation>, &'static str>, Fault> {
-    let ground = |at| state.holds.ground(at);
-    let outline = match feature.geometry.as_ref().map(|drawn| drawn.outline(ground)) {
-        Some(Ok(outline)) => Some(outline),
-        Some(Err(reason)) => return Ok(Err(reason)),
-        None => None,
-    };
-    let image = feature.image.as_ref();
-    if image.is_some_and(|image| state.map_from_vehicle(image).is_none()) {
-        return Ok(Err(
-            "feature of an image that the map has no vehicle pose of",
-        ));
-    }
-    let kind = match kind(feature, state, speaker) {
-        Ok(kind) => kind,
+    let read =
+        drawn(feature, state).and_then(|outline| Ok((outline, kind(feature, state, speaker)?)));
+    let (outline, kind) = match read {
+        Ok(read) => read,
         Err(reason) => return Ok(Err(reason)),
     };
+    let image = feature.image.as_ref();
     let Some(label) = label_of(feature, outline.as_ref(), kind, &state.labels)? else {
         return Ok(Err("feature that neither names a label nor has a geometry"));
     };
@@ -106,6 +100,11 @@ fn acts(
     let Some(kind) = kind.or(known.map(|known| &known.kind)) else {
         return Ok(Err("feature without a kind"));
     };
+    if !is_word(kind) || !is_word(&label) {
+        return Ok(Err(
+            "feature of a kind, or a label, whose name has a control character",
+        ));
+    }
     let standing = feature.standing.as_deref();
     if standing.is_some_and(|word| !STANDINGS.contains(&word)) {
         return Ok(Err("feature of an unknown standing"));
@@ -160,6 +159,40 @@ fn acts(
             acts
         }
     }))
+}
+
+/// The outline that a feature draws; `None` where it draws none.
+///
+/// # Errors
+/// In words, for what is no outline, lies where nothing of the map is, or is shown by no image of it. What is removed may lie
+/// anywhere.
+fn drawn(
+    feature: &Feature,
+    state: &State,
+) -> Result<Option<(&'static str, Outline)>, &'static str> {
+    let ground = |at| state.holds.ground(at);
+    let found = feature.geometry.as_ref();
+    let found = found.map(|drawn| drawn.outline(ground)).transpose()?;
+    let stood = feature.image.as_ref().map(|image| {
+        let stood = state.map_from_vehicle(image);
+        stood.ok_or("feature of an image that the map has no vehicle pose of")
+    });
+    let stood = stood.transpose()?;
+    let is_removed = feature.standing.as_deref() == Some("removed");
+    if let Some((_, outline)) = found.as_ref().filter(|_| !is_removed) {
+        let points: Vec<[f64; 3]> = in_map(outline).collect();
+        if state.is_far(&points) {
+            return Err(
+                "feature kilometres from every vehicle pose: expected metres in the map's frame; are these UTM coordinates?",
+            );
+        }
+        let away_m =
+            |stood: pose::Pose| (outline.map_from_label.translation - stood.translation).norm();
+        if stood.is_some_and(|stood| away_m(stood) > SEEN_M) {
+            return Err("feature of an image that was taken hundreds of metres away from it");
+        }
+    }
+    Ok(found)
 }
 
 /// What a feature marks. Its own kind goes first, and so does a category that is a kind of the map; what other categories

@@ -164,6 +164,11 @@ impl State {
         self.placer.map_from_vehicle(session, *stamp)
     }
 
+    /// Whether any of these points, m, is kilometres from every vehicle pose.
+    pub fn is_far(&self, points: &[[f64; 3]]) -> bool {
+        self.placer.is_far(points)
+    }
+
     /// What ties a label to the image that shows it; `None` where the map does not say where that was taken.
     pub fn seen_in(&self, image: &ImageKey, map_from_label: &Pose) -> Option<Anchor> {
         let vehicle_from_map = self.map_from_vehicle(image)?.inverse();

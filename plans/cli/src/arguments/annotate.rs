@@ -3,6 +3,7 @@
 use std::path::PathBuf;
 
 use clap::Args;
+use evermap_schemas::roles::annotations::is_word;
 
 use crate::annotate::is_blank;
 use crate::annotate::pixels::Program;
@@ -53,9 +54,9 @@ pub struct AnnotateArgs {
 }
 
 fn said(text: &str) -> Result<String, String> {
-    match is_blank(text) {
-        true => Err(format!("expected a name or a word, found {text:?}")),
-        false => Ok(text.to_owned()),
+    match !is_blank(text) && is_word(text) {
+        true => Ok(text.to_owned()),
+        false => Err(format!("expected a name or a word, found {text:?}")),
     }
 }
 

@@ -93,8 +93,7 @@ pub async fn export(args: &ExportArgs) -> Ending {
     let reader = MapReader::open(&args.map.map, args.map.version).await?;
     let layer = match (args.layer.as_deref(), args.format) {
         (None, ExportFormat::Mcap) => {
-            foxglove::export(&reader, &args.selection, &args.out).await?;
-            return DONE;
+            return foxglove::export(&reader, &args.selection, &args.out).await;
         }
         (Some(layer), ExportFormat::Mcap) => {
             let fault = Fault::user(format!(

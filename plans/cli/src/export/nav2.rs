@@ -21,6 +21,9 @@ use crate::shown::SpeedCell;
 /// Pixels of the largest mask.
 const MOST_PIXELS: i64 = 1 << 27;
 
+/// What to do about cells that are far apart.
+pub const SMALLER: &str = "run the plan again, which leaves out labels far from every drive; or make cells larger: cell_m of exposure";
+
 /// The two files.
 #[derive(Debug)]
 pub struct Mask {
@@ -47,9 +50,10 @@ pub fn limits(cells: &[SpeedCell]) -> Result<(Raster, Vec<i8>), Fault> {
     let raster = raster.ok_or_else(|| Fault::bug("cells have no raster"))?;
     let [width, height] = raster.size;
     if raster.cells() > MOST_PIXELS {
-        return Err(Fault::data(format!(
+        let fault = Fault::data(format!(
             "expected a mask of at most {MOST_PIXELS} pixels, found {width} x {height}"
-        )));
+        ));
+        return Err(fault.next(SMALLER));
     }
     let mut limits = vec![-1; raster.cells() as usize];
     for cell in cells {
@@ -180,6 +184,8 @@ mod tests {
         let cells = |cells: Vec<SpeedCell>| mask(&[batch(cells).unwrap()], None, "a.pgm");
         assert!(cells(vec![cell(0, 0, 1.0), other]).is_err());
         assert!(cells(vec![]).is_err());
-        assert!(cells(vec![cell(i32::MIN, 0, 1.0), cell(i32::MAX, 9, 1.0)]).is_err());
+        let far = cells(vec![cell(i32::MIN, 0, 1.0), cell(i32::MAX, 9, 1.0)]);
+        let far = far.unwrap_err().to_string();
+        assert!(far.contains("expected a mask of at most") && far.contains(SMALLER));
     }
 }

@@ -13,6 +13,10 @@ use serde::{Deserialize, Serialize};
 
 use super::Tell;
 
+/// What lies farther than this outside of all that the vehicle's poses span is not of the map, m: whatever covers the labels
+/// would cover all in between.
+const FARTHEST_M: f64 = 2000.0;
+
 /// Between which poses a label may hang.
 #[derive(Debug, Clone, Serialize, Deserialize, JsonSchema)]
 #[serde(default)]
@@ -37,6 +41,8 @@ pub struct Placer {
     frames: BTreeMap<(String, Stamp), Pose>,
     /// Labels where they were in the version before, by name.
     before: BTreeMap<String, PlacedLabel>,
+    /// Least and largest coordinates of poses and frames, m; `None` without any.
+    span: Option<[[f64; 3]; 2]>,
 }
 
 impl Placer {
@@ -56,10 +62,13 @@ impl Placer {
             }
         }
         let frame = |row: MapFrame| Some(((row.session, row.stamp), rigid(&row.map_from_frame)?));
+        let frames: BTreeMap<_, _> = frames.into_iter().filter_map(frame).collect();
+        let stood = sessions.values().flat_map(BTreeMap::values);
         Self {
             gap_m: params.gap_m,
+            span: span(stood.chain(frames.values())),
             poses: sessions,
-            frames: frames.into_iter().filter_map(frame).collect(),
+            frames,
             before: before
                 .into_iter()
                 .map(|row| (row.label.clone(), row))
@@ -67,7 +76,7 @@ impl Placer {
         }
     }
 
-    /// A label where it is now; `None` where its own pose is not a rigid transform.
+    /// A label where it is now, far away as it may be; `None` where its own pose is not a rigid transform.
     pub fn placed(&self, row: LabelAnchor, tell: Tell<'_>) -> Option<PlacedLabel> {
         let anchor = row.anchor.as_ref();
         let by_pose = anchor.and_then(|anchor| self.by_pose(anchor));
@@ -78,26 +87,15 @@ impl Placer {
             Some(pose) => (pose, "pose"),
             None => by_frame().or_else(as_before).or_else(as_drawn)?,
         };
-        match (placed_by, anchor) {
-            ("frame", Some(_)) => {
-                tell("label whose session is gone, placed by its frame".into(), 1)
-            }
-            ("before", _) => tell(
-                "label whose session is gone, placed where it was before".into(),
-                1,
-            ),
-            ("drawing", _) if row.frame.is_some() => tell(
-                "label whose session is gone, placed as it was drawn".into(),
-                1,
-            ),
-            ("drawing", _) => tell(
-                "label not tied to any pose of the map, placed as it was drawn".into(),
-                1,
-            ),
-            _ => {}
-        }
         let point = |point: &[f64; 3]| map_from_label.transform(&Vector3::from(*point)).into();
         let points: Vec<[f64; 3]> = row.points.iter().map(point).collect();
+        let told = match self.is_far(&points) {
+            true => Some("label kilometres from every vehicle pose, in no layer that labels make"),
+            false => self.told(&row, placed_by),
+        };
+        if let Some(reason) = told {
+            tell(reason.into(), 1);
+        }
         let size = (row.shape == "box").then(|| size(&row.points)).flatten();
         Some(PlacedLabel {
             geometry: match row.shape.as_str() {
@@ -118,6 +116,45 @@ impl Placer {
             width_m: size.map(|[_, width]| width),
             points,
         })
+    }
+
+    /// What is to be told of where a label is placed.
+    fn told(&self, row: &LabelAnchor, placed_by: &str) -> Option<&'static str> {
+        let anchor = row.anchor.as_ref();
+        let has_session = anchor.is_some_and(|anchor| self.poses.contains_key(&anchor.session));
+        match (placed_by, anchor, has_session) {
+            ("frame", Some(_), false) => Some("label whose session is gone, placed by its frame"),
+            ("frame", Some(_), true) => {
+                Some("label of an instant that its session has no pose at, placed by its frame")
+            }
+            ("before", _, false) => Some("label whose session is gone, placed where it was before"),
+            ("before", _, true) => Some(
+                "label of an instant that its session has no pose at, placed where it was before",
+            ),
+            ("drawing", _, true) => {
+                Some("label of an instant that its session has no pose at, placed as it was drawn")
+            }
+            ("drawing", _, false) if row.frame.is_some() => {
+                Some("label whose session is gone, placed as it was drawn")
+            }
+            ("drawing", _, false) => {
+                Some("label not tied to any pose of the map, placed as it was drawn")
+            }
+            _ => None,
+        }
+    }
+
+    /// Whether any of these points, m, is kilometres from every pose and frame of the map; never where it has none.
+    pub fn is_far(&self, points: &[[f64; 3]]) -> bool {
+        let Some([least, largest]) = &self.span else {
+            return false;
+        };
+        let is_near = |axis: usize, value: f64| {
+            let within = least[axis] - FARTHEST_M..=largest[axis] + FARTHEST_M;
+            within.contains(&value)
+        };
+        let is_near = |point: &[f64; 3]| (0..3).all(|axis| is_near(axis, point[axis]));
+        !points.iter().all(is_near)
     }
 
     /// Where the vehicle of a session stood at an instant; `None` where the map does not say, or poses are too far apart.
@@ -148,6 +185,18 @@ impl Placer {
         let is_same = before.anchor.is_some() && before.anchor == row.anchor;
         is_same.then(|| rigid(&before.map_from_label)).flatten()
     }
+}
+
+/// Least and largest coordinates of poses, m.
+fn span<'p>(poses: impl Iterator<Item = &'p Pose>) -> Option<[[f64; 3]; 2]> {
+    let points = poses.map(|pose| -> [f64; 3] { pose.translation.into() });
+    let points = points.map(|point| [point, point]);
+    points.reduce(|[least, largest], [point, _]| {
+        [
+            [0, 1, 2].map(|axis| point[axis].min(least[axis])),
+            [0, 1, 2].map(|axis| point[axis].max(largest[axis])),
+        ]
+    })
 }
 
 fn rigid(pose: &evermap_schemas::Pose) -> Option<Pose> {

@@ -7,7 +7,7 @@ use evermap_schemas::Fault;
 use serde_json::{Value, json};
 
 use super::described::{Canvas, Described, OF_ANOTHER, which_are};
-use super::{Drawn, NAME, Rectangle, Said, Shape, both, kinds, numbers};
+use super::{Drawn, NAME, Rectangle, Said, Shape, degrees, kinds, listed, numbers, written};
 use crate::annotate::Losses;
 use crate::annotate::geojson::text;
 use crate::annotate::mosaic::Picture;
@@ -16,12 +16,17 @@ use crate::annotate::mosaic::Picture;
 /// clockwise, about their centre) as CVAT writes them.
 ///
 /// # Errors
-/// A user fault for annotations of other pictures alone, and for pictures or categories that have an id in common.
+/// A user fault for a file without lists of pictures and annotations, annotations of other pictures alone, and pictures or
+/// categories that have an id in common.
 pub(super) fn read(value: &Value, canvases: &[Canvas], losses: &mut Losses) -> Result<Said, Fault> {
-    let list = |name: &str| value[name].as_array().map_or(&[][..], Vec::as_slice);
-    let pictures = list("images");
+    let list = |name: &str| listed(value, name)?.ok_or_else(|| lacking(name));
+    let (pictures, annotations) = (list("images")?, list("annotations")?);
+    let categories = listed(value, "categories")?.unwrap_or_default();
     distinct("images", pictures, "file_name")?;
-    distinct("categories", list("categories"), "name")?;
+    distinct("categories", categories, "name")?;
+    if pictures.is_empty() {
+        of_one(annotations)?;
+    }
     let described: Vec<Described> = pictures.iter().map(described).collect();
     let chosen = which_are(canvases, &described, losses)?;
     let chosen = pictures.iter().zip(chosen);
@@ -33,38 +38,80 @@ pub(super) fn read(value: &Value, canvases: &[Canvas], losses: &mut Losses) -> R
         [] => Some(0),
         _ => chosen.iter().find(|(of, _)| *of == id).map(|(_, at)| *at),
     };
-    let category = |id: &Value| {
-        let mut categories = list("categories").iter();
-        text(&categories.find(|category| category["id"] == *id)?["name"])
-    };
+    let is_known = |id: &Value| pictures.iter().any(|picture| picture["id"] == *id);
     let mut said = Said {
         drawn: Vec::new(),
         seen: chosen.iter().map(|(_, at)| *at).collect(),
         unread: BTreeSet::new(),
     };
-    for (number, annotation) in list("annotations").iter().enumerate() {
+    for (number, annotation) in annotations.iter().enumerate() {
         let place = format!("annotation {number}");
-        let Some(at) = picture_of(&annotation["image_id"]) else {
+        let id = &annotation["image_id"];
+        let Some(at) = picture_of(id) else {
             losses.note(OF_ANOTHER, &place);
+            if !is_known(id) {
+                // It may be of any of them.
+                said.unread.extend(&said.seen);
+            }
             continue;
         };
-        match shape(annotation) {
-            Some(shape) => {
+        let read = shape(annotation)
+            .and_then(|shape| Ok((shape, category(categories, &annotation["category_id"])?)));
+        match read {
+            Ok((shape, kind)) => {
                 if is_coarse(&annotation["segmentation"]) {
                     losses.note(BOX_OF, &place);
                 }
-                let kind = category(&annotation["category_id"]);
                 let name = text(&annotation["attributes"][NAME]);
                 let drawn = Drawn::said(place, kind, shape);
                 said.drawn.push(drawn.called(name).on(at));
             }
-            None => {
-                losses.note("annotation that is neither box nor outline", &place);
+            Err(reason) => {
+                losses.note(reason, &place);
                 said.unread.insert(at);
             }
         }
     }
     Ok(said)
+}
+
+/// That a file has no such list: nothing that is not in it is gone.
+fn lacking(name: &str) -> Fault {
+    let fault = Fault::user(format!(
+        "expected lists of images and annotations of COCO, found no `{name}`"
+    ));
+    fault.next("export all of it from the program that it was drawn with")
+}
+
+/// That annotations of a file without pictures are all of one.
+///
+/// # Errors
+/// A user fault with two of the pictures.
+fn of_one(annotations: &[Value]) -> Result<(), Fault> {
+    let pairs = annotations.windows(2);
+    let mut pairs = pairs.map(|two| (&two[0]["image_id"], &two[1]["image_id"]));
+    match pairs.find(|(one, other)| one != other) {
+        None => Ok(()),
+        Some((one, other)) => Err(Fault::user(format!(
+            "expected the images that annotations are of, found an empty list, and annotations of images {one} and {other}"
+        ))
+        .next("export the file with its images")),
+    }
+}
+
+/// What an annotation marks; `None` where it does not say.
+///
+/// # Errors
+/// In words, for a category that has no name.
+fn category(categories: &[Value], id: &Value) -> Result<Option<String>, &'static str> {
+    if id.is_null() {
+        return Ok(None);
+    }
+    let mut categories = categories.iter();
+    let found = categories.find(|category| category["id"] == *id);
+    let name = found.and_then(|category| text(&category["name"]));
+    name.map(Some)
+        .ok_or("annotation of a category that the file does not name")
 }
 
 /// What is told of an annotation whose outline is not taken.
@@ -102,27 +149,35 @@ fn distinct(what: &str, list: &[Value], name: &str) -> Result<(), Fault> {
 }
 
 fn described(picture: &Value) -> Described {
-    let size = ["width", "height"].map(|name| picture[name].as_f64());
     Described {
         id: Some(picture["id"].to_string()),
         name: text(&picture["file_name"]),
-        size: both(size),
+        size: ["width", "height"].map(|name| written(&picture[name])),
     }
 }
 
-fn shape(annotation: &Value) -> Option<Shape> {
+fn shape(annotation: &Value) -> Result<Shape, &'static str> {
     let outlines = annotation["segmentation"].as_array().map(Vec::as_slice);
     if let Some([outline]) = outlines {
-        let numbers: Vec<f64> = numbers(outline)?;
-        let (pixels, []) = numbers.as_chunks::<2>() else {
-            return None;
-        };
-        return Some(Shape::Closed(pixels.to_vec()));
+        return closed(outline).ok_or(NO_SHAPE);
     }
-    let [left, top, width, height]: [f64; 4] = numbers(&annotation["bbox"])?.try_into().ok()?;
-    let degrees = annotation["attributes"]["rotation"].as_f64().unwrap_or(0.0);
+    let sides: Option<[f64; 4]> =
+        numbers(&annotation["bbox"]).and_then(|sides| sides.try_into().ok());
+    let [left, top, width, height] = sides.ok_or(NO_SHAPE)?;
+    let degrees = degrees(&annotation["attributes"]["rotation"])?;
     let found = Rectangle::about_middle([left, top], [width, height], degrees);
-    Some(Shape::Box(found))
+    Ok(Shape::Box(found))
+}
+
+/// Why an annotation is left out.
+const NO_SHAPE: &str = "annotation that is neither box nor outline";
+
+fn closed(outline: &Value) -> Option<Shape> {
+    let numbers: Vec<f64> = numbers(outline)?;
+    let (pixels, []) = numbers.as_chunks::<2>() else {
+        return None;
+    };
+    Some(Shape::Closed(pixels.to_vec()))
 }
 
 /// Outlines, with the boxes around them.

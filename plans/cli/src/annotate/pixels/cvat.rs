@@ -7,7 +7,7 @@ use evermap_schemas::Fault;
 use roxmltree::{Document, Node};
 
 use super::described::{Canvas, Described, OF_ANOTHER, which_are};
-use super::{Drawn, NAME, Pixel, Rectangle, Said, Shape, both};
+use super::{Drawn, NAME, Pixel, Rectangle, Said, Shape, TURNED};
 use crate::annotate::Losses;
 use crate::annotate::mosaic::Picture;
 
@@ -50,7 +50,7 @@ pub(super) fn read(text: &str, canvases: &[Canvas], losses: &mut Losses) -> Resu
                 continue;
             };
             match shape(node) {
-                Some(shape) => {
+                Ok(shape) => {
                     if is_coarse(node) {
                         losses.note(BOX_OF, &place);
                     }
@@ -58,8 +58,8 @@ pub(super) fn read(text: &str, canvases: &[Canvas], losses: &mut Losses) -> Resu
                     let drawn = Drawn::said(place, kind, shape);
                     said.drawn.push(drawn.called(name(node)).on(at));
                 }
-                None => {
-                    losses.note(NO_SHAPE, &place);
+                Err(reason) => {
+                    losses.note(reason, &place);
                     // A tag is of the whole picture.
                     said.unread
                         .extend((!node.has_tag_name("tag")).then_some(at));
@@ -87,20 +87,30 @@ fn name(shape: Node<'_, '_>) -> Option<String> {
 }
 
 fn described(picture: &Node<'_, '_>) -> Described {
-    let size = ["width", "height"].map(|name| picture.attribute(name)?.parse().ok());
+    let attribute = |name: &str| picture.attribute(name).map(str::to_owned);
     Described {
-        id: picture.attribute("id").map(str::to_owned),
-        name: picture.attribute("name").map(str::to_owned),
-        size: both(size),
+        id: attribute("id"),
+        name: attribute("name"),
+        size: ["width", "height"].map(attribute),
     }
 }
 
-fn shape(node: Node<'_, '_>) -> Option<Shape> {
-    let number = |name: &str| node.attribute(name)?.parse::<f64>().ok();
-    let turned = |corner: Pixel, size: [f64; 2]| {
-        let degrees = number("rotation").unwrap_or(0.0);
-        Shape::Box(Rectangle::about_middle(corner, size, degrees))
+/// A shape, turned as it says.
+///
+/// # Errors
+/// In words, for what is none.
+fn shape(node: Node<'_, '_>) -> Result<Shape, &'static str> {
+    let degrees = match node.attribute("rotation") {
+        None => 0.0,
+        Some(degrees) => degrees.parse().map_err(|_| TURNED)?,
     };
+    turned(node, degrees).ok_or(NO_SHAPE)
+}
+
+fn turned(node: Node<'_, '_>, degrees: f64) -> Option<Shape> {
+    let number = |name: &str| node.attribute(name)?.parse::<f64>().ok();
+    let turned =
+        |corner: Pixel, size: [f64; 2]| Shape::Box(Rectangle::about_middle(corner, size, degrees));
     match node.tag_name().name() {
         "box" => {
             let [left, top] = [number("xtl")?, number("ytl")?];

@@ -23,8 +23,8 @@ pub(super) struct Described {
     pub(super) id: Option<String>,
     /// Its file, as the program knows it: a name, a path or an address. `None` where nothing is said.
     pub(super) name: Option<String>,
-    /// Width and height, px; `None` where nothing is said.
-    pub(super) size: Option<[f64; 2]>,
+    /// Width and height, px, as the file has them; `None` where nothing is said.
+    pub(super) size: [Option<String>; 2],
 }
 
 /// For each picture of a file which of these it is, by its name; where there is one alone, and the file has no other picture,
@@ -118,14 +118,18 @@ impl Described {
     /// Holds its size to that of a picture.
     ///
     /// # Errors
-    /// A user fault for another one.
+    /// A user fault for another one, or one that is no number.
     fn fits(&self, canvas: &Canvas) -> Result<(), Fault> {
-        let expected = canvas.size;
-        let Some([width, height]) = self.size.filter(|size| *size != expected.map(f64::from))
-        else {
-            return Ok(());
+        let is = |said: &Option<String>, side: u32| {
+            let said = said.as_ref().map(|said| said.trim().parse::<f64>());
+            said.is_none_or(|said| said == Ok(f64::from(side)))
         };
-        let [expected_width, expected_height] = expected;
+        let [width, height] = &self.size;
+        let [expected_width, expected_height] = canvas.size;
+        if is(width, expected_width) && is(height, expected_height) {
+            return Ok(());
+        }
+        let [width, height] = [width, height].map(|said| said.as_deref().unwrap_or("?"));
         let fault = Fault::user(format!(
             "expected annotations of a picture of {expected_width} × {expected_height} px, found those of one of {width} × {height} px"
         ));

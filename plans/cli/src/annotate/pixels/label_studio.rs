@@ -4,7 +4,7 @@ use evermap_schemas::Fault;
 use serde_json::{Value, json};
 
 use super::described::{Canvas, Described, OF_ANOTHER, is_file, which_are};
-use super::{Drawn, NAME, Rectangle, Said, Shape, both, numbers};
+use super::{Drawn, NAME, Rectangle, Said, Shape, degrees, listed, numbers, written};
 use crate::annotate::Losses;
 use crate::annotate::geojson::text;
 use crate::annotate::mosaic::Picture;
@@ -13,7 +13,7 @@ use crate::annotate::mosaic::Picture;
 /// picture. Predictions are not read: nobody said them; a task with nothing else was not looked at.
 ///
 /// # Errors
-/// A user fault for JSON of another form, or results of other pictures alone.
+/// A user fault for JSON of another form, annotations that are no list, or results of other pictures alone.
 pub(super) fn read(tasks: &Value, canvases: &[Canvas], losses: &mut Losses) -> Result<Said, Fault> {
     let tasks = tasks.as_array().map_or(&[][..], Vec::as_slice);
     if !tasks.iter().all(is_task) {
@@ -22,15 +22,25 @@ pub(super) fn read(tasks: &Value, canvases: &[Canvas], losses: &mut Losses) -> R
         )
         .next("export from Label Studio as `JSON`, not as `JSON-MIN`"));
     }
-    let described = tasks.iter().map(|task| described(task, canvases));
-    let described: Vec<Described> = described.collect();
-    let chosen = which_are(canvases, &described, losses)?;
+    let annotations = tasks.iter().map(annotations);
+    let annotations: Vec<Vec<&Value>> = annotations.collect::<Result<_, _>>()?;
+    let pictures = tasks.iter().zip(&annotations);
+    let pictures = pictures.map(|(task, said)| described(task, said, canvases));
+    let pictures: Vec<Described> = pictures.collect();
+    let chosen = which_are(canvases, &pictures, losses)?;
     let mut said = Said::default();
-    for (task, (value, at)) in tasks.iter().zip(chosen).enumerate() {
-        if annotations(value).next().is_some() {
+    for (task, (annotations, at)) in annotations.iter().zip(chosen).enumerate() {
+        let of_task = annotations.iter().copied();
+        let (read, unread): (Vec<&Value>, Vec<&Value>) =
+            of_task.partition(|annotation| annotation["result"].is_array());
+        if !read.is_empty() {
             said.seen.extend(at);
         }
-        for (number, result) in results(value).enumerate() {
+        if !unread.is_empty() {
+            losses.note(NO_RESULT, &format!("task {task}"));
+            said.unread.extend(at);
+        }
+        for (number, result) in results(&read).enumerate() {
             let place = format!("task {task}, result {number}");
             let Some((at, canvas)) = at.and_then(|at| Some((at, canvases.get(at)?))) else {
                 losses.note(OF_ANOTHER, &place);
@@ -42,12 +52,12 @@ pub(super) fn read(tasks: &Value, canvases: &[Canvas], losses: &mut Losses) -> R
                 continue;
             }
             match shape(result, canvas.size) {
-                Some((kind, shape)) => {
+                Ok((kind, shape)) => {
                     let drawn = Drawn::said(place, kind, shape);
                     said.drawn.push(drawn.called(name(&result["id"])).on(at));
                 }
-                None => {
-                    losses.note("annotation that is neither box nor outline", &place);
+                Err(reason) => {
+                    losses.note(reason, &place);
                     said.unread.extend(is_region(result).then_some(at));
                 }
             }
@@ -67,6 +77,9 @@ fn is_region(result: &Value) -> bool {
     form.is_none_or(|form| !OF_NO_REGION.contains(&form))
 }
 
+/// Why an annotation says nothing, not even that there is nothing.
+const NO_RESULT: &str = "annotation of Label Studio whose result is no list";
+
 /// Why a result with several labels is left out.
 const SEVERAL: &str = "annotation with several labels: which one it marks is not said";
 
@@ -84,37 +97,42 @@ fn name(id: &Value) -> Option<String> {
 }
 
 /// What people said of a task's picture, each time that somebody looked at it and did not give up.
-fn annotations(task: &Value) -> impl Iterator<Item = &Value> {
-    let annotations = ["annotations", "completions"].map(|name| &task[name]);
-    let annotations = annotations
-        .into_iter()
-        .filter_map(Value::as_array)
-        .flatten();
-    annotations.filter(|annotation| annotation["was_cancelled"] != true)
+///
+/// # Errors
+/// A user fault for what is no list.
+fn annotations(task: &Value) -> Result<Vec<&Value>, Fault> {
+    let [annotations, completions] = ["annotations", "completions"].map(|name| listed(task, name));
+    let all = [annotations?, completions?];
+    let all = all.into_iter().flatten().flatten();
+    let all = all.filter(|annotation| annotation["was_cancelled"] != true);
+    Ok(all.collect())
 }
 
 /// What they have drawn on it.
-fn results(task: &Value) -> impl Iterator<Item = &Value> {
-    let results = annotations(task).filter_map(|annotation| annotation["result"].as_array());
+fn results<'v>(annotations: &[&'v Value]) -> impl Iterator<Item = &'v Value> {
+    let results = annotations.iter().copied();
+    let results = results.filter_map(|annotation| annotation["result"].as_array());
     results.flatten()
 }
 
 /// The picture of a task, under whatever word the project has it, with the size that a result says.
-fn described(task: &Value, canvases: &[Canvas]) -> Described {
+fn described(task: &Value, annotations: &[&Value], canvases: &[Canvas]) -> Described {
     let data = &task["data"];
     let texts = data.as_object().into_iter().flat_map(|data| data.values());
     let texts: Vec<&str> = texts.filter_map(Value::as_str).collect();
     let is_one = |text: &&str| canvases.iter().any(|canvas| is_file(text, &canvas.name));
     let name = texts.iter().copied().find(is_one);
     let name = name.or(data["image"].as_str());
-    let size = |result: &Value| {
-        both(["original_width", "original_height"].map(|name| result[name].as_f64()))
-    };
+    let size =
+        |result: &Value| ["original_width", "original_height"].map(|name| written(&result[name]));
+    let mut sizes = results(annotations).map(size);
     Described {
         // Several tasks may be of one picture.
         id: None,
         name: name.or(texts.first().copied()).map(str::to_owned),
-        size: results(task).find_map(size),
+        size: sizes
+            .find(|size| size.iter().any(Option::is_some))
+            .unwrap_or_default(),
     }
 }
 
@@ -124,25 +142,45 @@ fn is_task(task: &Value) -> bool {
     members.iter().any(|name| task.get(name).is_some())
 }
 
-fn shape(result: &Value, size: [u32; 2]) -> Option<(Option<String>, Shape)> {
-    let (value, scale) = (&result["value"], size.map(|side| f64::from(side) / 100.0));
+/// What a result marks, where it says so, and its shape.
+///
+/// # Errors
+/// In words, for what is none.
+fn shape(result: &Value, size: [u32; 2]) -> Result<(Option<String>, Shape), &'static str> {
+    let value = &result["value"];
+    let degrees = degrees(&value["rotation"])?;
+    let form = result["type"].as_str().unwrap_or_default();
+    let shape = turned(value, form, (size, degrees)).ok_or(NO_SHAPE)?;
+    let (labels, label) = (&value[form], &value[form][0]);
+    let says_none = labels.is_null() || labels.as_array().is_some_and(Vec::is_empty);
+    match says_none || label.is_string() || label.is_number() {
+        true => Ok((text(label), shape)),
+        false => Err("annotation whose label is no text"),
+    }
+}
+
+/// Why a result is left out.
+const NO_SHAPE: &str = "annotation that is neither box nor outline";
+
+fn turned(value: &Value, form: &str, (size, degrees): ([u32; 2], f64)) -> Option<Shape> {
+    let scale = size.map(|side| f64::from(side) / 100.0);
     let number = |name: &str| value[name].as_f64();
-    match result["type"].as_str()? {
-        kind @ ("rectanglelabels" | "rectangle") => {
+    match form {
+        "rectanglelabels" | "rectangle" => {
             let found = Rectangle {
                 corner: [number("x")? * scale[0], number("y")? * scale[1]],
                 size: [number("width")? * scale[0], number("height")? * scale[1]],
-                degrees: number("rotation").unwrap_or(0.0),
+                degrees,
             };
-            Some((text(&value[kind][0]), Shape::Box(found)))
+            Some(Shape::Box(found))
         }
-        kind @ ("polygonlabels" | "polygon") => {
+        "polygonlabels" | "polygon" => {
             let pixel = |point: &Value| {
                 let [x, y]: [f64; 2] = numbers(point)?.try_into().ok()?;
                 Some([x * scale[0], y * scale[1]])
             };
             let outline: Option<_> = value["points"].as_array()?.iter().map(pixel).collect();
-            Some((text(&value[kind][0]), Shape::Closed(outline?)))
+            Some(Shape::Closed(outline?))
         }
         _ => None,
     }

@@ -13,6 +13,7 @@ use std::path::Path;
 use clap::ValueEnum;
 use evermap_schemas::Fault;
 use evermap_schemas::layers::{BoxHypothesis, PlacedLabel};
+use evermap_schemas::roles::annotations::is_word;
 use serde_json::Value;
 
 pub(super) use boxes::{Boxes, PictureBox};
@@ -43,7 +44,7 @@ pub enum Program {
     Cvat,
     /// A task of Label Studio, with what the map proposes as predictions.
     LabelStudio,
-    /// YOLO's oriented boxes, with the names of their classes in classes.txt beside.
+    /// YOLO's oriented boxes, with the names of their classes in classes.txt beside; classes that it has keep their numbers.
     YoloObb,
 }
 
@@ -117,7 +118,7 @@ impl Program {
     /// has no form for is noted and left out.
     ///
     /// # Errors
-    /// As [`write_file`](crate::output::write_file), of the classes' file.
+    /// As [`write_file`](crate::output::write_file), of the classes' file, and a user fault for a file in its place.
     pub fn write(
         self,
         path: &Path,
@@ -129,7 +130,7 @@ impl Program {
         let mut drawn = Vec::new();
         for label in labels {
             let seen = Drawn::of_label(label, picture);
-            match self.lacks(&seen.shape) {
+            match self.lacks(&seen) {
                 None if seen.is_in(picture.size) => drawn.push(seen),
                 None => losses.note("label outside of the picture", &seen.place),
                 Some(reason) => losses.note(reason, &seen.place),
@@ -146,9 +147,14 @@ impl Program {
         }
     }
 
-    /// Why a shape cannot be said.
-    fn lacks(self, shape: &Shape) -> Option<&'static str> {
-        match (self, shape) {
+    /// Why a label cannot be said.
+    fn lacks(self, drawn: &Drawn) -> Option<&'static str> {
+        let mut words = [&drawn.kind, &drawn.name].into_iter().flatten();
+        // An older evermap took any text.
+        if words.any(|word| !is_word(word)) {
+            return Some("label whose kind or name has a control character");
+        }
+        match (self, &drawn.shape) {
             (Self::YoloObb, Shape::Closed(_)) => {
                 Some("polygon, which YOLO's oriented boxes are not")
             }
@@ -385,10 +391,45 @@ fn numbers(value: &Value) -> Option<Vec<f64>> {
     value.as_array()?.iter().map(Value::as_f64).collect()
 }
 
-/// Width and height, where both are said.
-fn both([width, height]: [Option<f64>; 2]) -> Option<[f64; 2]> {
-    Some([width?, height?])
+/// The list of this name; `None` where there is none.
+///
+/// # Errors
+/// A user fault for what is no list: who reads nothing of it takes for gone what is there.
+fn listed<'v>(value: &'v Value, name: &str) -> Result<Option<&'v [Value]>, Fault> {
+    let found = match &value[name] {
+        Value::Null => return Ok(None),
+        Value::Array(list) => return Ok(Some(list)),
+        Value::Object(_) => "an object",
+        Value::String(_) => "a text",
+        Value::Number(_) => "a number",
+        Value::Bool(_) => "true or false",
+    };
+    let fault = format!("expected a list of {name}, found {found}");
+    Err(Fault::user(fault).next("export it from the program anew, as it writes it"))
 }
+
+/// A number, or what else is there, as the file has it; `None` where nothing is.
+fn written(value: &Value) -> Option<String> {
+    match value {
+        Value::Null => None,
+        Value::String(text) => Some(text.clone()),
+        other => Some(other.to_string()),
+    }
+}
+
+/// Degrees by which a shape is turned; 0 where nothing is said.
+///
+/// # Errors
+/// In words, for what is no number: the shape lies otherwise than it would be read.
+fn degrees(value: &Value) -> Result<f64, &'static str> {
+    match value {
+        Value::Null => Ok(0.0),
+        value => value.as_f64().ok_or(TURNED),
+    }
+}
+
+/// Why a shape is left out.
+const TURNED: &str = "annotation whose rotation is no number of degrees";
 
 #[cfg(test)]
 mod tests;

@@ -448,7 +448,7 @@ fn ids_that_several_have_are_refused_with_both() {
     };
     let image = |name: &str| json!({ "id": 7, "file_name": name });
     let category = |name: &str| json!({ "id": 3, "name": name });
-    let file = |images: [Value; 2], categories: [Value; 2]| json!({ "images": images, "categories": categories });
+    let file = |images: [Value; 2], categories: [Value; 2]| json!({ "images": images, "categories": categories, "annotations": [] });
     let (images, categories) = (["lot.png"; 2].map(image), ["space"; 2].map(category));
     // The same one, twice.
     assert_eq!(refused(file(images.clone(), categories.clone())), None);
@@ -562,4 +562,201 @@ fn what_becomes_the_box_around_it_is_counted() {
     let told = "annotation of several outlines, or of a mask, taken as the box around it";
     let told = [1, 2].map(|number| format!("annotation {number}: {told}"));
     assert_eq!(losses.lines, told);
+}
+
+/// What a file of one picture, `a.png`, says of it: boxes, whether it was seen, whether something was not read; or why it is
+/// refused.
+fn told(text: &str) -> Result<(usize, bool, bool), String> {
+    let canvases = [Canvas {
+        name: "a.png".into(),
+        size: [400, 300],
+    }];
+    let path = Path::new("a.file");
+    let program = Program::of(path, text).unwrap();
+    let found = program.boxes(path, text, &canvases, &mut Losses::default());
+    let found = found.map_err(|fault| fault.to_string())?;
+    let has = |pictures: &BTreeSet<usize>| pictures.contains(&0);
+    Ok((found.boxes.len(), has(&found.seen), has(&found.unread)))
+}
+
+/// What cannot be read is not gone: nobody is rejected for it.
+#[test]
+fn what_is_no_list_of_annotations_is_refused_or_not_seen() {
+    let images = json!([{ "id": 7, "file_name": "a.png" }]);
+    let of = |id: Value| json!([{ "image_id": id, "bbox": [1, 1, 20, 10] }]);
+    let lists = "expected lists of images and annotations of COCO, found no `annotations`";
+    for (annotations, expected) in [
+        (of(7.into()), Ok((1, true, false))),
+        (json!([]), Ok((0, true, false))),
+        // No picture has this id: the box may be of any.
+        (of("7".into()), Ok((0, true, true))),
+        (of(Value::Null), Ok((0, true, true))),
+        (Value::Null, Err(lists)),
+        (
+            json!({ "0": {} }),
+            Err("expected a list of annotations, found an object"),
+        ),
+        (
+            json!("none"),
+            Err("expected a list of annotations, found a text"),
+        ),
+    ] {
+        let file = json!({ "images": images, "annotations": annotations }).to_string();
+        has(told(&file), expected, &file);
+    }
+    let missing = json!({ "images": images }).to_string();
+    has(told(&missing), Err(lists), &missing);
+    for (annotations, expected) in [
+        (json!([{ "result": [] }]), Ok((0, true, false))),
+        (json!([{ "result": null }]), Ok((0, false, true))),
+        (json!([{ "result": { "x": 1 } }]), Ok((0, false, true))),
+        (json!([5]), Ok((0, false, true))),
+        (json!([{ "result": [] }, {}]), Ok((0, true, true))),
+        (Value::Null, Ok((0, false, false))),
+        (
+            json!({ "result": [] }),
+            Err("expected a list of annotations, found an object"),
+        ),
+    ] {
+        let task = json!({ "data": { "image": "a.png" }, "annotations": annotations });
+        let file = json!([task]).to_string();
+        has(told(&file), expected, &file);
+    }
+}
+
+/// Holds what a file says to what is expected, or why it is refused to a part of that.
+fn has(
+    told: Result<(usize, bool, bool), String>,
+    expected: Result<(usize, bool, bool), &str>,
+    file: &str,
+) {
+    match (told, expected) {
+        (Err(told), Err(expected)) => assert!(told.contains(expected), "{file}: {told}"),
+        (told, expected) => assert_eq!(told.ok(), expected.ok(), "{file}"),
+    }
+}
+
+#[test]
+fn what_is_there_and_cannot_be_read_is_not_as_if_it_were_missing() {
+    let read = Ok((1, true, false));
+    let unread = Ok((0, true, true));
+    let other = Err("expected annotations of a picture of 400 × 300 px, found those of one of");
+    let coco = |image: Value, annotation: Value| {
+        let mut images = json!([{ "id": 7, "file_name": "a.png" }]);
+        let mut annotations = json!([{ "image_id": 7, "bbox": [1, 1, 20, 10] }]);
+        for (into, more) in [(&mut images[0], image), (&mut annotations[0], annotation)] {
+            let more = more.as_object().cloned().unwrap_or_default();
+            into.as_object_mut().unwrap().extend(more);
+        }
+        let categories = json!([{ "id": 3, "name": "car" }, { "id": 4 }]);
+        json!({ "images": images, "categories": categories, "annotations": annotations })
+            .to_string()
+    };
+    let size =
+        |width: Value, height: Value| coco(json!({ "width": width, "height": height }), json!({}));
+    let says = |annotation: Value| coco(json!({}), annotation);
+    let cvat = |image: &str, shape: &str| {
+        format!(
+            r#"<annotations><image name="a.png" {image}><box label="car" xtl="1" ytl="1" xbr="21" ybr="11" {shape}/></image></annotations>"#
+        )
+    };
+    let studio = |result: Value, value: Value| {
+        let mut whole = json!({
+            "type": "rectanglelabels",
+            "value": { "x": 1, "y": 1, "width": 5, "height": 3, "rectanglelabels": ["car"] },
+        });
+        let more = value.as_object().cloned().unwrap_or_default();
+        whole["value"].as_object_mut().unwrap().extend(more);
+        let more = result.as_object().cloned().unwrap_or_default();
+        whole.as_object_mut().unwrap().extend(more);
+        json!([{ "data": { "image": "a.png" }, "annotations": [{ "result": [whole] }] }])
+            .to_string()
+    };
+    let original = |width: Value| studio(json!({ "original_width": width }), json!({}));
+    let value = |value: Value| studio(json!({}), value);
+    for (file, expected) in [
+        (size(400.into(), 300.into()), read),
+        (size("400".into(), Value::Null), read),
+        (size("800".into(), "600".into()), other),
+        (size("wide".into(), 300.into()), other),
+        (size(Value::Null, 600.into()), other),
+        (says(json!({ "attributes": { "rotation": 45 } })), read),
+        (says(json!({ "attributes": { "rotation": "45" } })), unread),
+        (says(json!({ "category_id": 3 })), read),
+        (says(json!({ "category_id": "3" })), unread),
+        (says(json!({ "category_id": 4 })), unread),
+        (says(json!({ "category_id": 77 })), unread),
+        (
+            cvat(r#"width="400" height="300""#, r#"rotation="45""#),
+            read,
+        ),
+        (cvat(r#"width="400px" height="300px""#, ""), other),
+        (cvat("", r#"rotation="45 degrees""#), unread),
+        (original(400.into()), read),
+        (original("800".into()), other),
+        (value(json!({ "rotation": 45 })), read),
+        (value(json!({ "rotation": "45" })), unread),
+        (value(json!({ "rectanglelabels": [] })), read),
+        (value(json!({ "rectanglelabels": "car" })), unread),
+    ] {
+        has(told(&file), expected, &file);
+    }
+}
+
+#[test]
+fn a_file_without_pictures_has_annotations_of_one() {
+    let file = |ids: &[u32]| {
+        let annotations = ids.iter();
+        let annotations = annotations.map(|id| json!({ "image_id": id, "bbox": [1, 1, 20, 10] }));
+        let annotations: Vec<Value> = annotations.collect();
+        json!({ "images": [], "annotations": annotations }).to_string()
+    };
+    assert_eq!(told(&file(&[7, 7])).map(|(boxes, ..)| boxes), Ok(2));
+    let said = told(&file(&[99, 7])).unwrap_err();
+    assert!(said.contains("annotations of images 99 and 7"), "{said}");
+}
+
+fn of_kind(kind: &str, x: f64) -> PlacedLabel {
+    PlacedLabel {
+        kind: kind.into(),
+        ..label("a", "box", &of_box([x, 15.0], 0.5, [2.0, 1.0]))
+    }
+}
+
+/// Files of a folder share the names of their classes.
+#[test]
+fn classes_of_boxes_that_are_there_keep_their_numbers() {
+    let folder = tempfile::tempdir().unwrap();
+    let picture = picture(folder.path());
+    let write = |name: &str, labels: &[PlacedLabel]| {
+        let (path, mut losses) = (folder.path().join(name), Losses::default());
+        Program::YoloObb.write(&path, &picture, (labels, &[]), &mut losses)
+    };
+    let classes = || std::fs::read_to_string(folder.path().join("classes.txt")).unwrap();
+    let first = write("a.txt", &[of_kind("space", 13.0)]).unwrap();
+    assert!(first.starts_with("0 ") && classes() == "space\n");
+    let second = write("b.txt", &[of_kind("arrow", 13.0), of_kind("space", 17.0)]).unwrap();
+    let numbers: Vec<&str> = second.lines().map(|line| &line[..2]).collect();
+    assert_eq!(numbers, ["1 ", "0 "]);
+    assert_eq!(classes(), "space\narrow\n");
+    // With fewer, what is there stays.
+    let third = write("c.txt", &[of_kind("arrow", 13.0)]).unwrap();
+    assert!(third.starts_with("1 ") && classes() == "space\narrow\n");
+    for name in ["classes.txt", "Classes.TXT"] {
+        assert!(write(name, &[of_kind("space", 13.0)]).is_err(), "{name}");
+    }
+    assert_eq!(classes(), "space\narrow\n");
+}
+
+/// It would be two classes of YOLO, and no XML.
+#[test]
+fn a_kind_of_two_lines_is_counted() {
+    for program in ALL {
+        let (found, losses) = round_trip(program, &[of_kind("a\nb", 13.0), of_kind("c", 17.0)]);
+        let kinds: Vec<_> = found.iter().map(|one| one.category.as_deref()).collect();
+        assert_eq!(kinds, [Some("c")], "{program:?}");
+        let counts: Vec<_> = losses.counts.into_iter().collect();
+        let told = "label whose kind or name has a control character";
+        assert_eq!(counts, [(told.to_owned(), 1)], "{program:?}");
+    }
 }

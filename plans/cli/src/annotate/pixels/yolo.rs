@@ -70,19 +70,32 @@ fn corners(line: &str, [width, height]: [u32; 2]) -> Option<(usize, Vec<Pixel>)>
     Some((class, corners.iter().map(pixel).collect()))
 }
 
-/// The boxes; their classes are written beside.
+/// The boxes; their classes are written beside, after those that are there: files of the same folder have their numbers.
 ///
 /// # Errors
-/// As [`write_file`], of the classes.
+/// As [`classes`] and [`write_file`]; a user fault for boxes in the place of their classes.
 pub(super) fn write(drawn: &[Drawn], picture: &Picture, path: &Path) -> Result<String, Failure> {
-    let kinds = kinds(drawn);
     let beside = path.with_file_name(CLASSES);
-    let names: String = kinds.iter().map(|kind| format!("{kind}\n")).collect();
-    write_file(&beside, names.as_bytes())?;
+    let name = path.file_name().unwrap_or_default();
+    if name.eq_ignore_ascii_case(CLASSES) {
+        let fault =
+            Fault::user("expected a file for boxes, found the name of that of their classes");
+        return Err(fault.at(path.display()).next("call it otherwise").into());
+    }
+    let mut names = classes(path)?;
+    let known = names.len();
+    for kind in kinds(drawn).into_iter().map(str::trim) {
+        if !names.iter().any(|name| name == kind) {
+            names.push(kind.to_owned());
+        }
+    }
+    if names.len() > known {
+        write_file(&beside, (names.join("\n") + "\n").as_bytes())?;
+    }
     let [width, height] = picture.size.map(f64::from);
     let line = |drawn: &Drawn| {
-        let kind = drawn.kind.as_deref().unwrap_or_default();
-        let class = kinds.binary_search(&kind).unwrap_or(0);
+        let kind = drawn.kind.as_deref().unwrap_or_default().trim();
+        let class = names.iter().position(|name| name == kind).unwrap_or(0);
         let corners = drawn.shape.points().into_iter();
         let shares = corners.map(|[x, y]| format!(" {} {}", x / width, y / height));
         format!("{class}{}\n", shares.collect::<String>())

@@ -11,6 +11,7 @@ use foxglove::messages::{Grid, Vector2};
 
 use super::Said;
 use super::messages::{MAP, field, place, time};
+use crate::ending::Lost;
 use crate::export::nav2;
 use crate::mosaic::{Mosaic, level, zoom_for};
 use crate::raster::Raster;
@@ -22,8 +23,12 @@ const FINEST_M: f64 = 0.05;
 /// Grids of more cells than this are left out.
 const MOST_CELLS: i64 = 1 << 26;
 
-/// All of it, as said at one instant.
-pub(super) async fn said(reader: &MapReader, site: &str, stamp: i64) -> Result<Vec<Said>, Fault> {
+/// All of it, as said at one instant; grids that are too large are counted.
+pub(super) async fn said(
+    reader: &MapReader,
+    (site, stamp): (&str, i64),
+    lost: &mut Lost,
+) -> Result<Vec<Said>, Fault> {
     let site = Some(site);
     let mut all = Vec::new();
     let tiles: Vec<Tile> = reader.rows(site).await?;
@@ -32,28 +37,48 @@ pub(super) async fn said(reader: &MapReader, site: &str, stamp: i64) -> Result<V
         all.push(Said::new(stamp, "/ground", &floor(&ground, stamp))?);
     }
     let cells: Vec<SpeedCell> = reader.rows(site).await?;
-    if let Some(grid) = speeds(&cells, stamp) {
+    if let Some(grid) = speeds(&cells, stamp, lost) {
         all.push(Said::new(stamp, "/speed", &grid)?);
     }
-    match nav2::limits(&cells) {
-        Ok((raster, limits)) if raster.cells() <= MOST_CELLS => {
-            all.push(occupancy(
-                stamp,
-                "/speed_mask",
-                raster,
-                cells[0].cell_m,
-                &limits,
-            ));
-        }
-        Ok(_) => {}
-        Err(_) if cells.is_empty() => {}
-        Err(fault) => tracing::warn!(%fault, "the speed map is recorded without its mask"),
-    }
+    all.extend(mask(&cells, stamp, lost));
     let cells: Vec<DangerCell> = reader.rows(site).await?;
-    if let Some((raster, cell_m, percent)) = danger(&cells) {
+    if let Some((raster, cell_m, percent)) = danger(&cells, lost) {
         all.push(occupancy(stamp, "/danger", raster, cell_m, &percent));
     }
     Ok(all)
+}
+
+/// The mask of Nav2's speed filter; `None` where there is no speed map, or it makes none.
+fn mask(cells: &[SpeedCell], stamp: i64, lost: &mut Lost) -> Option<Said> {
+    let cell_m = cells.first()?.cell_m;
+    let topic = "/speed_mask";
+    match nav2::limits(cells) {
+        Ok((raster, limits)) => {
+            let raster = held(raster, topic, lost)?;
+            Some(occupancy(stamp, topic, raster, cell_m, &limits))
+        }
+        Err(fault) => {
+            left_out(format!("{topic} left out: {fault}"), lost);
+            None
+        }
+    }
+}
+
+/// A raster that a recording holds; `None`, and counted, for a larger one.
+fn held(raster: Raster, topic: &str, lost: &mut Lost) -> Option<Raster> {
+    let is_held = raster.cells() <= MOST_CELLS;
+    if !is_held {
+        let ([width, height], next) = (raster.size, nav2::SMALLER);
+        let reason = format!(
+            "{topic} left out: expected at most {MOST_CELLS} cells, found {width} x {height}; {next}"
+        );
+        left_out(reason, lost);
+    }
+    is_held.then_some(raster)
+}
+
+fn left_out(reason: String, lost: &mut Lost) {
+    *lost.0.entry(reason).or_default() += 1;
 }
 
 fn occupancy(stamp: i64, topic: &str, raster: Raster, cell_m: f64, cells: &[i8]) -> Said {
@@ -74,13 +99,11 @@ fn occupancy(stamp: i64, topic: &str, raster: Raster, cell_m: f64, cells: &[i8])
 
 /// Probabilities that somebody is in a cell in one look, in percent; the side of a cell, m. `None` where there is no map of
 /// them, or it would be too large.
-fn danger(cells: &[DangerCell]) -> Option<(Raster, f64, Vec<i8>)> {
+fn danger(cells: &[DangerCell], lost: &mut Lost) -> Option<(Raster, f64, Vec<i8>)> {
     let cell_m = cells.first()?.cell_m;
     let alike = || cells.iter().filter(|cell| cell.cell_m == cell_m);
     let raster = Raster::around(alike().map(|cell| [cell.column, cell.row]))?;
-    if raster.cells() > MOST_CELLS {
-        return None;
-    }
+    let raster = held(raster, "/danger", lost)?;
     let mut percent = vec![-1; raster.cells() as usize];
     for cell in alike().filter(|cell| cell.danger.is_finite()) {
         let probability = cell.danger.clamp(0.0, 1.0);
@@ -115,13 +138,11 @@ fn floor(ground: &Mosaic, stamp: i64) -> Grid {
 
 /// Recommended speeds, m/s; not a number where the map has none. `None` where there is no map of them, or it would be too
 /// large.
-fn speeds(cells: &[SpeedCell], stamp: i64) -> Option<Grid> {
+fn speeds(cells: &[SpeedCell], stamp: i64, lost: &mut Lost) -> Option<Grid> {
     let cell_m = cells.first()?.cell_m;
     let alike = || cells.iter().filter(|cell| cell.cell_m == cell_m);
     let raster = Raster::around(alike().map(|cell| [cell.column, cell.row]))?;
-    if raster.cells() > MOST_CELLS {
-        return None;
-    }
+    let raster = held(raster, "/speed", lost)?;
     let mut speeds = vec![f32::NAN; raster.cells() as usize];
     for cell in alike() {
         speeds[raster.place([cell.column, cell.row])] = cell.speed_mps as f32;
@@ -145,5 +166,41 @@ fn square(side_m: f64) -> Vector2 {
     Vector2 {
         x: side_m,
         y: side_m,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn cell(column: i32) -> SpeedCell {
+        SpeedCell {
+            site: "lot".into(),
+            column,
+            row: 0,
+            cell_m: 0.5,
+            speed_mps: 1.4,
+            max_mps: 2.8,
+        }
+    }
+
+    /// Cells are far apart where a label was drawn in other coordinates.
+    #[test]
+    fn a_grid_that_a_recording_does_not_hold_is_counted() {
+        let lost_of = |cells: &[SpeedCell]| {
+            let mut lost = Lost::default();
+            let grid = speeds(cells, 0, &mut lost).is_some();
+            let mask = mask(cells, 0, &mut lost).is_some();
+            (grid, mask, lost)
+        };
+        assert_eq!(lost_of(&[]), (false, false, Lost::default()));
+        assert_eq!(lost_of(&[cell(0), cell(7)]), (true, true, Lost::default()));
+        let (grid, mask, lost) = lost_of(&[cell(0), cell(1 << 27)]);
+        assert!(!grid && !mask);
+        let told: Vec<&str> = lost.0.keys().map(String::as_str).collect();
+        assert_eq!(told.len(), 2);
+        assert!(told[0].starts_with("/speed left out: expected at most"));
+        assert!(told[1].starts_with("/speed_mask left out: "));
+        assert!(told.iter().all(|told| told.contains(nav2::SMALLER)));
     }
 }

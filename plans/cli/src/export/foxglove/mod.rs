@@ -31,7 +31,7 @@ use evermap_schemas::layers::VehiclePose;
 use foxglove::{Encode, Schema};
 
 use crate::annotate::unwritten;
-use crate::ending::Failure;
+use crate::ending::{Ending, Failure, Lost};
 use crate::export::Selection;
 use crate::output::outside_of_maps;
 use crate::reader::{MapReader, nothing, one_site};
@@ -42,21 +42,28 @@ use messages::{encoded, encoded_ros, kind};
 /// Messages that are read and written together.
 const TOGETHER: usize = 64;
 
-/// Writes a site of a map, of one session where it is named.
+/// Writes a site of a map, of one session where it is named; what a recording does not hold is counted.
 ///
 /// # Errors
 /// A user fault for a map without poses, or of several sites; a data fault for logs that are gone or damaged.
-pub async fn export(reader: &MapReader, selection: &Selection, out: &Path) -> Result<(), Failure> {
+pub async fn export(reader: &MapReader, selection: &Selection, out: &Path) -> Ending {
     outside_of_maps(out)?;
-    let said = said(reader, selection).await?;
-    write(reader, &said, out).await
+    let mut lost = Lost::default();
+    let said = said(reader, selection, &mut lost).await?;
+    write(reader, &said, out).await?;
+    Ok(lost)
 }
 
-/// What there is to say of a site of a map, of one session where it is named, in the order of time.
+/// What there is to say of a site of a map, of one session where it is named, in the order of time; what is left out is
+/// counted.
 ///
 /// # Errors
 /// A user fault for a map without poses, or of several sites.
-pub async fn said(reader: &MapReader, selection: &Selection) -> Result<Vec<Said>, Fault> {
+pub async fn said(
+    reader: &MapReader,
+    selection: &Selection,
+    lost: &mut Lost,
+) -> Result<Vec<Said>, Fault> {
     let mut poses: Vec<VehiclePose> = reader.needed(None).await?;
     let site = selection.site.as_deref();
     let site = one_site(poses.iter().map(|pose| pose.site.as_str()), site)?;
@@ -69,7 +76,7 @@ pub async fn said(reader: &MapReader, selection: &Selection) -> Result<Vec<Said>
     };
     let first = first.ok_or_else(none)?;
     let mut said = drives::said(reader, &site, poses).await?;
-    let still = still::said(reader, &site, first).await?;
+    let still = still::said(reader, (&site, first), lost).await?;
     said.extend(still.into_iter().map(Said::for_good));
     said.sort_by(|a, b| (a.stamp, &a.topic).cmp(&(b.stamp, &b.topic)));
     Ok(said)

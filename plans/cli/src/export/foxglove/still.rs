@@ -9,13 +9,18 @@ use super::messages::{
     GREEN, MAP, ORANGE, PURPLE, VERMILION, color, entity, field, line, place, time, vector,
 };
 use super::{Said, grids};
+use crate::ending::Lost;
 use crate::reader::MapReader;
 use crate::scene::corners;
 use crate::shown::{Crossing, Label, LandmarkPoint, Lane, Space};
 
 /// All of it, as said at one instant.
-pub(super) async fn said(reader: &MapReader, site: &str, stamp: i64) -> Result<Vec<Said>, Fault> {
-    let mut all = grids::said(reader, site, stamp).await?;
+pub(super) async fn said(
+    reader: &MapReader,
+    (site, stamp): (&str, i64),
+    lost: &mut Lost,
+) -> Result<Vec<Said>, Fault> {
+    let mut all = grids::said(reader, (site, stamp), lost).await?;
     let site = Some(site);
     let landmarks: Vec<LandmarkPoint> = reader.rows(site).await?;
     if !landmarks.is_empty() {

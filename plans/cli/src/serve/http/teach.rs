@@ -149,7 +149,7 @@ pub async fn say(
     let author = teaching.author_of(user, saying.author);
     let mut losses = Losses::default();
     let features = geojson::features(&saying.features, &mut losses)?;
-    if !losses.lines.is_empty() {
+    if !losses.counts.is_empty() {
         return Err(Fault::user(losses.lines.join("; "))
             .next("nothing was saved")
             .into());

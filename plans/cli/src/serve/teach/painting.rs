@@ -6,6 +6,7 @@ use evermap_catalog::painted::{ImageKey, by_image, lying, paint};
 use evermap_datasets::annotations::{Annotation, Drawn, OnImage};
 use evermap_engine::digest::digest_of;
 use evermap_schemas::roles::ImageAnnotation;
+use evermap_schemas::roles::annotations::is_word;
 use evermap_schemas::{Fault, Stamp};
 use serde_json::{Value, json};
 
@@ -114,6 +115,9 @@ fn said<'b>(
     let class = feature.kind.as_deref().map(str::trim);
     let class = class.filter(|class| !class.is_empty());
     let class = class.ok_or("expected a class as kind, found none")?;
+    if !is_word(class) || feature.label.as_deref().is_some_and(|id| !is_word(id)) {
+        return Err("expected a kind and a label without control characters".to_owned());
+    }
     let geometry = feature.geometry.as_ref();
     let drawn = drawn(
         geometry.ok_or("expected a polygon or a line, found none")?,

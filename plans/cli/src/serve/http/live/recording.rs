@@ -10,6 +10,7 @@ use serde_json::Value;
 use tokio::sync::Mutex;
 
 use super::protocol;
+use crate::ending::Lost;
 use crate::export::Selection;
 use crate::export::foxglove::{Said, said};
 use crate::serve::maps::{Opened, ServedMap};
@@ -87,7 +88,11 @@ impl Recordings {
         if let Some(recording) = watched.get(&which).and_then(Weak::upgrade) {
             return Ok(recording);
         }
-        let said = said(&opened.reader, selection).await?;
+        let mut lost = Lost::default();
+        let said = said(&opened.reader, selection, &mut lost).await?;
+        for reason in lost.0.keys() {
+            tracing::warn!("{reason}");
+        }
         let recording = Arc::new(Recording::new(said, map)?);
         watched.insert(which, Arc::downgrade(&recording));
         Ok(recording)
