@@ -6,9 +6,9 @@ mod video;
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-use base64::Engine;
-use base64::prelude::BASE64_STANDARD;
 use bytes::Bytes;
+use evermap_messages::{MessageType, bytes_of_base64};
+use evermap_schemas::roles::IMAGE_MEMBER;
 use evermap_schemas::{Fault, ImageRef};
 use evermap_video::Codec;
 use futures::{StreamExt, TryStreamExt};
@@ -196,7 +196,7 @@ impl ImageReader {
         while let Some((chunk, place, indexes)) = opened.try_next().await? {
             for index in indexes {
                 resolved[index] = match &chunk {
-                    Ok(bytes) => image_bytes(bytes, &place, &images[index]),
+                    Ok(bytes) => self.image_bytes(bytes, &place, &images[index]),
                     Err(fault) => Err(fault.clone()),
                 };
             }
@@ -220,6 +220,27 @@ impl ImageReader {
             ))
             .next("give the sessions that the frames come from")
         })
+    }
+
+    fn image_bytes(&self, opened: &Bytes, place: &Place, image: &ImageRef) -> Result<Bytes, Fault> {
+        let start = match place.opening {
+            Opening::Plain => 0,
+            _ => image.offset,
+        };
+        let end = start.checked_add(image.length);
+        let Some(end) = end.filter(|end| *end <= opened.len() as u64) else {
+            return Err(outside());
+        };
+        self.encoded(opened.slice(start as usize..end as usize), image)
+    }
+
+    /// The image in the bytes that a reference names.
+    fn encoded(&self, bytes: Bytes, image: &ImageRef) -> Result<Bytes, Fault> {
+        if !is_base64(&bytes, image, self.part(&image.session, image.part)?) {
+            return Ok(bytes);
+        }
+        let decoded = bytes_of_base64(&bytes);
+        decoded.map(Bytes::from).map_err(Fault::data)
     }
 
     async fn open(&self, place: &Place) -> Result<Result<Bytes, Fault>, Fault> {
@@ -262,42 +283,33 @@ async fn read(part: &LogPart, place: &Place) -> Result<Bytes, Fault> {
     }
 }
 
-fn image_bytes(opened: &Bytes, place: &Place, image: &ImageRef) -> Result<Bytes, Fault> {
-    let start = match place.opening {
-        Opening::Plain => 0,
-        _ => image.offset,
-    };
-    let end = start.checked_add(image.length);
-    let Some(end) = end.filter(|end| *end <= opened.len() as u64) else {
-        return Err(outside());
-    };
-    encoded(opened.slice(start as usize..end as usize), image)
-}
-
 fn outside() -> Fault {
     Fault::data("expected an image inside its chunk, found none there")
 }
 
-/// The image in the bytes that a reference names.
-fn encoded(bytes: Bytes, image: &ImageRef) -> Result<Bytes, Fault> {
-    if !is_base64(&bytes, image) {
-        return Ok(bytes);
-    }
-    let decoded = BASE64_STANDARD.decode(&bytes);
-    decoded
-        .map(Bytes::from)
-        .map_err(|error| Fault::data(format!("expected base64, found {error}")))
-}
-
-/// JSON logs carry images as base64. A reference does not say so, but the bytes do: an encoded image never consists
-/// of letters only, and a raw one has the size that its rows need.
-fn is_base64(bytes: &Bytes, image: &ImageRef) -> bool {
+/// Whether bytes are base64, as images of JSON messages are. A reference does not say so, but an encoded image never
+/// consists of letters only; of a raw one the log says how such messages are encoded. Where it has both, a raw one has the
+/// size that its rows need.
+fn is_base64(bytes: &Bytes, image: &ImageRef, part: &LogPart) -> bool {
     let letter = |byte: &u8| byte.is_ascii_alphanumeric() || matches!(byte, b'+' | b'/' | b'=');
-    if !bytes.len().is_multiple_of(4) || !bytes.iter().take(64).all(letter) {
+    if !bytes.iter().take(64).all(letter) {
         return false;
     }
-    match (image.height, image.step) {
-        (Some(height), Some(step)) => u64::from(height) * u64::from(step) != image.length,
-        _ => true,
-    }
+    let (Some(height), Some(step)) = (image.height, image.step) else {
+        return true;
+    };
+    has_raw_images(part, true)
+        && (!has_raw_images(part, false)
+            || u64::from(height) * u64::from(step) != image.length && bytes.iter().all(letter))
+}
+
+/// Whether a log has channels whose messages may be raw images, in JSON or in another encoding.
+fn has_raw_images(part: &LogPart, in_json: bool) -> bool {
+    let mut channels = part.index.channels.values();
+    channels.any(|channel| {
+        let known = || part.message_type(channel.id)?.as_ref().ok();
+        let has = |known: &MessageType, name| known.fields().find(name).is_some();
+        (channel.message_encoding == "json") == in_json
+            && known().is_some_and(|known| has(known, "encoding") && has(known, IMAGE_MEMBER))
+    })
 }

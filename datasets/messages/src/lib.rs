@@ -52,6 +52,7 @@ mod wire;
 
 pub use decoder::Decoder;
 pub use error::{DecodeError, SchemaError};
+pub use json::bytes_of_base64;
 
 use arrow::datatypes::Fields;
 use cdr::Serialisation;

@@ -9,7 +9,7 @@ use bytes::Bytes;
 use datafusion::common::runtime::SpawnedTask;
 use evermap_schemas::{Fault, ImageRef};
 
-use super::{ImageReader, Opening, Place, encoded, held, outside};
+use super::{ImageReader, Opening, Place, held, outside};
 use crate::log::walk::{Feed, Walk, fed, joined};
 
 /// Chunks that may be half gone through: two for each of two partitions that read side by side.
@@ -95,7 +95,7 @@ impl ImageReader {
         let encoded = |(index, image): (usize, Result<Bytes, Fault>)| {
             (
                 index,
-                image.and_then(|bytes| encoded(bytes, &images[index])),
+                image.and_then(|bytes| self.encoded(bytes, &images[index])),
             )
         };
         Ok(found.into_iter().map(encoded).collect())

@@ -6,9 +6,8 @@
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex};
 
-use base64::Engine;
-use base64::prelude::BASE64_STANDARD;
 use bytes::Bytes;
+use evermap_messages::bytes_of_base64;
 use evermap_schemas::roles::IMAGE_MEMBER;
 use evermap_schemas::{Fault, ImageRef};
 use evermap_video::{Codec, Decoder, Failure};
@@ -65,7 +64,7 @@ impl Found {
     fn bytes(&self, unit: &Bytes) -> Option<Bytes> {
         let bytes = unit.slice(self.start..self.end);
         if self.base64 {
-            return BASE64_STANDARD.decode(&bytes).ok().map(Bytes::from);
+            return bytes_of_base64(&bytes).ok().map(Bytes::from);
         }
         Some(bytes)
     }

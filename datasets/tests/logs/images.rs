@@ -1,8 +1,11 @@
 //! References of frames lead to the very bytes that the log holds.
 #![allow(clippy::unwrap_used, clippy::panic)]
 
-use crate::common::{open, rows, shared};
+use crate::common::by_hand::{channel, file, message, schema};
+use crate::common::{in_memory, open, open_in, rows, shared};
 use arrow::array::{Array, AsArray, RecordBatch};
+use base64::Engine;
+use base64::prelude::BASE64_STANDARD_NO_PAD;
 use evermap_datasets::ImageReader;
 use evermap_schemas::roles::Frame;
 
@@ -81,5 +84,92 @@ async fn references_lead_to_the_decoded_bytes() {
                 }
             }
         }
+    }
+}
+
+/// The bytes of the frames of a log.
+async fn images(log: &[Vec<u8>]) -> Vec<bytes::Bytes> {
+    let log = in_memory(&file(log, &[])).await;
+    let (context, dataset) = open_in(log, 1).await.unwrap();
+    let batches = rows(&context, "SELECT * FROM frames ORDER BY log_time").await;
+    let frames = batches
+        .iter()
+        .flat_map(|batch| evermap_schemas::rows::<Frame>(batch).unwrap());
+    let images: Vec<_> = frames.map(|frame| frame.image).collect();
+    let bytes = ImageReader::new(&dataset, 16 << 20).resolve(&images).await;
+    bytes.unwrap().into_iter().map(Result::unwrap).collect()
+}
+
+const RAW: &str = r#"{"type":"object","properties":{"height":{"type":"integer"},"width":{"type":"integer"},
+    "encoding":{"type":"string"},"step":{"type":"integer"},"data":{"type":"string","contentEncoding":"base64"}}}"#;
+
+/// A raw image of 8 × 8 px, in JSON, without padding.
+fn raw_json(bytes: &[u8]) -> String {
+    let data = BASE64_STANDARD_NO_PAD.encode(bytes);
+    format!(r#"{{"height":8,"width":8,"encoding":"mono8","step":8,"data":"{data}"}}"#)
+}
+
+/// Bytes that might be letters, and more of them than rows need.
+#[tokio::test(flavor = "multi_thread")]
+async fn raw_images_are_base64_where_their_log_has_such_in_json_and_not_where_they_look_like_it() {
+    let fields = b"uint32 height\nuint32 width\nstring encoding\nuint32 step\nuint8[] data\n";
+    let text = |bytes: &[u8]| [&(bytes.len() as u32).to_le_bytes(), bytes].concat();
+    let number = 8_u32.to_le_bytes();
+    let letters = [b'F'; 72];
+    let parts = [
+        &[0, 1, 0, 0][..],
+        &number,
+        &number,
+        &text(b"mono8\0"),
+        &[0; 2],
+        &number,
+        &text(&letters),
+    ];
+    let binary = [
+        schema(1, "sensor_msgs/msg/Image", "ros2msg", fields),
+        channel(1, 1, "/front/image_raw", "cdr"),
+        schema(
+            2,
+            "our.Status",
+            "jsonschema",
+            br#"{"type":"object","properties":{"data":{"type":"string"}}}"#,
+        ),
+        channel(2, 2, "/status", "json"),
+        message(1, 0, &parts.concat()),
+    ];
+    assert_eq!(images(&binary).await, [&letters[..]]);
+    let json = |bytes: &[u8]| {
+        [
+            schema(1, "foxglove.RawImage", "jsonschema", RAW.as_bytes()),
+            channel(1, 1, "/front/image_raw", "json"),
+            message(1, 0, raw_json(bytes).as_bytes()),
+        ]
+    };
+    for length in [64, 65, 66] {
+        let bytes = vec![0x15; length];
+        assert_eq!(images(&json(&bytes)).await, [bytes], "{length}");
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn base64_needs_no_padding() {
+    let fields = r#"{"type":"object","properties":{"data":{"type":"string","contentEncoding":"base64"},
+        "format":{"type":"string"}}}"#;
+    for length in [9, 10, 11] {
+        let mut jpeg = vec![7; length];
+        jpeg[..3].copy_from_slice(&[0xff, 0xd8, 0xff]);
+        let data = BASE64_STANDARD_NO_PAD.encode(&jpeg);
+        let said = format!(r#"{{"format":"jpeg","data":"{data}"}}"#);
+        let log = [
+            schema(
+                1,
+                "foxglove.CompressedImage",
+                "jsonschema",
+                fields.as_bytes(),
+            ),
+            channel(1, 1, "/front/image", "json"),
+            message(1, 0, said.as_bytes()),
+        ];
+        assert_eq!(images(&log).await, [jpeg], "{length}");
     }
 }

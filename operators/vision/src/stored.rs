@@ -93,7 +93,8 @@ struct InverseDepth {
 }
 
 impl InverseDepth {
-    /// From a header of 12 bytes (the method, `a` and `b`), where a PNG follows it; and the image.
+    /// From a header of 12 bytes (the method, `a` and `b`), where a PNG follows it; and the image. Where `a` is 0 nothing
+    /// was quantised: the header stands before millimetres, too.
     fn before(bytes: &[u8]) -> (Option<Self>, &[u8]) {
         match bytes.split_first_chunk() {
             Some((&[_, _, _, _, a0, a1, a2, a3, b0, b1, b2, b3], png))
@@ -101,7 +102,7 @@ impl InverseDepth {
             {
                 let a = f32::from_le_bytes([a0, a1, a2, a3]);
                 let b = f32::from_le_bytes([b0, b1, b2, b3]);
-                (Some(Self { a, b }), png)
+                ((a != 0.0).then_some(Self { a, b }), png)
             }
             _ => (None, bytes),
         }

@@ -115,9 +115,12 @@ fn metres_become_millimetres_and_what_is_not_measured_stays_so() {
     let stored = [0_u16, value].map(u16::to_be_bytes).concat();
     let png = png_of([2, 1], ColorType::Grayscale, BitDepth::Sixteen, &stored);
     let header = [[0; 4], a.to_le_bytes(), b.to_le_bytes()].concat();
-    let depth = decode_depth(&[header, png].concat()).unwrap();
+    let depth = decode_depth(&[&header[..], &png].concat()).unwrap();
     assert_eq!(depth.data[0], 0);
     assert!(depth.data[1].abs_diff(2000) <= 1, "{:?}", depth.data);
+    // The same header stands before millimetres, with nothing in it.
+    let depth = decode_depth(&[&[0; 12][..], &png].concat()).unwrap();
+    assert_eq!(depth.data, [0, value]);
 }
 
 #[test]

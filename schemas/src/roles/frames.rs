@@ -270,7 +270,7 @@ fn compressed_depth(text: &str) -> Option<&'static str> {
     let (encoding, transport) = text.split_once(';')?;
     let is_png = transport.contains("compresseddepth") && !transport.contains("rvl");
     match encoding.trim() {
-        "16uc1" if is_png => Some("compressedDepth 16UC1"),
+        "16uc1" | "mono16" if is_png => Some("compressedDepth 16UC1"),
         "32fc1" if is_png => Some("compressedDepth 32FC1"),
         _ => None,
     }

@@ -19,6 +19,7 @@ use crate::decoder::Format;
 pub(crate) use locate::locate;
 pub(crate) use plan::Plan;
 use plan::Shape;
+pub use read::bytes_of_base64;
 use serde::de::{DeserializeSeed, Deserializer, Error, IgnoredAny, Visitor};
 use std::fmt;
 use std::sync::Arc;

@@ -13,11 +13,19 @@ use serde::de::{DeserializeSeed, Deserializer, Error, IgnoredAny, MapAccess, Seq
 use serde_json::error::Category;
 use std::fmt;
 
-/// Standard base64; padding may be missing.
 const BASE64: GeneralPurpose = GeneralPurpose::new(
     &STANDARD,
     GeneralPurposeConfig::new().with_decode_padding_mode(DecodePaddingMode::Indifferent),
 );
+
+/// The bytes that standard base64 stands for, with padding behind it or without.
+///
+/// # Errors
+/// In words, when it is none.
+pub fn bytes_of_base64(text: &[u8]) -> Result<Vec<u8>, String> {
+    let bytes = BASE64.decode(text);
+    bytes.map_err(|error| format!("expected base64, found {error}"))
+}
 
 /// Beyond 2^53 a float no longer says which whole number was meant.
 const EXACT: f64 = 9_007_199_254_740_992.0;
@@ -247,7 +255,7 @@ impl<'de> Visitor<'de> for Slot<'_, '_> {
     fn visit_str<E: Error>(self, value: &str) -> Result<(), E> {
         match (self.shape, value) {
             (Shape::Text, _) => self.bytes(value.as_bytes()),
-            (Shape::Base64, _) => match BASE64.decode(value) {
+            (Shape::Base64, _) => match bytes_of_base64(value.as_bytes()) {
                 Ok(bytes) => self.bytes(&bytes),
                 Err(_) => Err(self.sink.stop(mismatch(self.name, "base64", shown(&value)))),
             },

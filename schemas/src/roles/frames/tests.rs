@@ -25,6 +25,7 @@ fn formats_are_named_alike() {
     assert_eq!(plain_format("webp", b"RIFF\0\0\0\0"), "webp");
     for (said, plain) in [
         ("16UC1; compressedDepth png", "compressedDepth 16UC1"),
+        ("mono16; compressedDepth png", "compressedDepth 16UC1"),
         ("32FC1; compressedDepth", "compressedDepth 32FC1"),
         ("16UC1; compressedDepth rvl", "16uc1; compresseddepth rvl"),
     ] {
