@@ -305,14 +305,13 @@ fn scans(bytes: &[u8]) -> usize {
     pairs.filter(|pair| *pair == (&0xff, &0xda)).count()
 }
 
-/// Decoders fill what is cut off with grey; a map must not show that. The end-of-image marker may be
-/// followed by padding.
+/// Decoders fill what is cut off with grey; a map must not show that. Behind the marker that begins the last scan stands
+/// the one that ends the image, which what is encoded does not hold; what follows it, as cameras pad, is none of the image.
 fn ends_like_a_jpeg(bytes: &[u8]) -> bool {
-    let end = bytes
-        .iter()
-        .rposition(|byte| !matches!(byte, 0x00 | 0xff))
-        .map_or(0, |last| last + 1);
-    bytes[..end].ends_with(&[0xff, 0xd9])
+    let mut pairs = bytes.windows(2);
+    let last_scan = pairs.rposition(|pair| pair == [0xff, 0xda]);
+    let behind = last_scan.map_or(&[][..], |start| &bytes[start..]);
+    behind.windows(2).any(|pair| pair == [0xff, 0xd9])
 }
 
 fn first_bytes(bytes: &[u8]) -> String {

@@ -193,8 +193,12 @@ fn a_truncated_image_is_an_error() {
 #[test]
 fn padding_after_a_jpeg_is_not_damage() {
     let jpeg = jpeg_of(&sample(64, 48));
-    let padded = [jpeg.as_slice(), &[0; 7]].concat();
-    assert_eq!(decode(&padded).unwrap(), decode(&jpeg).unwrap());
+    for padding in [&[0; 7][..], &[0xff; 3], b"\0\0padpadpad", b"\n", &jpeg[..2]] {
+        let padded = [&jpeg[..], padding].concat();
+        assert_eq!(decode(&padded).unwrap(), decode(&jpeg).unwrap());
+        let cut = [&jpeg[..jpeg.len() - 2], padding].concat();
+        assert!(decode(&cut).is_err(), "{padding:?}");
+    }
 }
 
 #[test]
