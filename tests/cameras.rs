@@ -303,6 +303,26 @@ fn pictures_of_floating_point_are_counted_and_told_with_what_a_manifest_may_say(
     assert_eq!(found.json(), expected);
 }
 
+/// A camera whose name speaks of depth, and one whose name does so in passing.
+#[test]
+fn pictures_that_have_the_role_of_range_images_are_told_and_a_camera_of_depth_has_pictures() {
+    let logs = Logs::new();
+    let jpeg = json!({"data": base64(&[0xff, 0xd8, 0xff, 0xe0, 0, 0])});
+    let send = |topic| (topic, "foxglove.CompressedImage", vec![jpeg.clone()]);
+    let topics = [
+        send("/front/depth/image"),
+        send("/depth_camera/image/compressed"),
+    ];
+    let log = logs.write("depth.mcap", &topics);
+    let said = evermap(&["inspect", text(&log)]).expect(0).stdout;
+    let note = "expected range images, found JPEG on /front/depth/image; if these are pictures, give their topics to \
+                `frames`, and not to `depth_frames`,";
+    assert!(said.contains(note), "{said}");
+    let found = query(&log, &[], TOPICS).expect(0).json();
+    assert_eq!(found[0]["topic"], "/depth_camera/image/compressed");
+    assert_eq!(found[1], Value::Null);
+}
+
 #[test]
 fn a_manifest_says_how_many_bits_samples_have() {
     let logs = Logs::new();

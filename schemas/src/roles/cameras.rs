@@ -4,7 +4,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use crate::Pose;
-use crate::roles::frames::{Content, content_of};
+use crate::roles::content::{Content, content_of};
 use crate::roles::stereo::{self, CalibratedCamera, CameraMount};
 use crate::roles::{Role, depth_frames, frames, label_frames};
 
@@ -332,7 +332,8 @@ pub(super) fn topic_camera(topic: &str) -> String {
     parts.join("/")
 }
 
-fn is_kind(part: &str) -> bool {
+/// Whether a part of a topic's name says that images are sent, or what is told of them, and not who sends.
+pub(super) fn is_kind(part: &str) -> bool {
     KINDS.contains(&part) || part.starts_with("image") && is_rectified(part)
 }
 

@@ -3,8 +3,9 @@
 use std::collections::BTreeMap;
 
 use crate::roles::cameras::{both_of, is_rectified, topic_camera};
+use crate::roles::content::{Content, content_of};
 use crate::roles::{
-    Choice, FromMessage, Message, Messages, RawFormat, Role, SampleBits, Topic, every, in_words,
+    Choice, FromMessage, Message, Messages, RawFormat, Role, SampleBits, Topic, every,
 };
 use crate::{ImageRef, Stamp, record};
 
@@ -50,28 +51,6 @@ pub(super) const IMAGES: Messages = Messages {
         "ffmpeg_image_transport_msgs/FFMPEGPacket",
     ])
 };
-
-/// What the values of an image mean.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Content {
-    Picture,
-    Depth,
-    Labels,
-}
-
-/// Parts of a topic's name that tell label images from pictures.
-pub(super) const LABELS: [&str; 3] = ["label", "segmentation", "semantic"];
-
-/// What the name of an image topic speaks of.
-pub(super) fn content_of(topic: &str) -> Content {
-    if in_words(topic, &LABELS) {
-        Content::Labels
-    } else if in_words(topic, &["depth"]) {
-        Content::Depth
-    } else {
-        Content::Picture
-    }
-}
 
 /// A topic without the part that says how its images are sent, and which of several such it is that counts: the lowest.
 fn twins(topic: &str) -> (&str, u8) {

@@ -2,8 +2,9 @@
 
 use std::collections::BTreeMap;
 
-use crate::roles::frames::{Content, Frame, IMAGES, LABELS, of_content};
-use crate::roles::{Choice, Messages, Role, Topic, in_words};
+use crate::roles::content::{Content, is_of_labels};
+use crate::roles::frames::{Frame, IMAGES, of_content};
+use crate::roles::{Choice, Messages, Role, Topic};
 
 /// Image topics whose names speak of labels, segmentation or semantics.
 pub const ROLE: Role = Role::of::<Frame>(Messages {
@@ -19,7 +20,7 @@ fn choose(topics: &[Topic]) -> Vec<Choice> {
     let mut owners = BTreeMap::<Vec<&str>, Vec<&Topic>>::new();
     for topic in &labels {
         let parts = topic.name.split('/');
-        let owner = parts.take_while(|part| !in_words(part, &LABELS)).collect();
+        let owner = parts.take_while(|part| !is_of_labels(part)).collect();
         owners.entry(owner).or_default().push(topic);
     }
     owners.into_values().filter_map(Choice::first_of).collect()

@@ -11,6 +11,7 @@
 //! Files, and how bytes become members, are the business of whoever reads logs.
 
 mod cameras;
+mod content;
 pub mod frame_names;
 mod message;
 mod mounts;
