@@ -394,6 +394,33 @@ fn a_topic_whose_schema_names_no_fields_is_refused_when_a_manifest_is_checked() 
 }
 
 #[test]
+fn a_query_of_what_a_topic_without_fields_might_play_says_why_it_has_no_rows() {
+    let folder = tempfile::tempdir().unwrap();
+    let log = |name: &str, topic: &str, schema: &str| {
+        let path = folder.path().join(name);
+        write_nothing(&path, topic, (schema, &br#"{"type":"object"}"#[..]));
+        path
+    };
+    let asked = |log: &Path, table: &str, code: i32| {
+        let query = format!("SELECT count(*) FROM {table}");
+        evermap(&["sql", "--sessions", text(log), &query])
+            .expect(code)
+            .stderr
+    };
+    let drive = log("drive.mcap", "/odom", "nav_msgs/Odometry");
+    let said = asked(&drive, "odometry", 0);
+    let why = "note: session drive has no odometry, which these topics do not play: /odom (nav_msgs/Odometry, JSON whose \
+               schema names no fields)";
+    assert!(said.contains(why), "{said}");
+    assert!(!asked(&drive, "imu", 0).contains("note:"));
+    let images = log("images.mcap", "/front/image", "foxglove.CompressedImage");
+    let said = asked(&images, "frames", 3);
+    for told in ["1 skipped or lost", "cannot be decoded", "contentEncoding"] {
+        assert!(said.contains(told), "{told}: {said}");
+    }
+}
+
+#[test]
 fn versions_are_read_side_by_side_and_files_by_other_programs() {
     let folder = tempfile::tempdir().unwrap();
     let logs = ["monday", "tuesday"].map(|day| folder.path().join(format!("{day}.mcap")));

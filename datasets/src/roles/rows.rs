@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use arrow::array::{RecordBatch, StructArray};
-use arrow::datatypes::{Field, SchemaRef};
+use arrow::datatypes::{DataType, Field, SchemaRef};
 use evermap_messages::{Decoder, MessageType};
 use evermap_schemas::roles::{
     CameraNames, Fields, FoundImage, FromMessage, Message, Messages, Motion, OdometryOf,
@@ -13,6 +13,7 @@ use evermap_schemas::roles::{
 };
 use evermap_schemas::{Fault, ImageRef, Stamp};
 
+use crate::log::definition::LogChannel;
 use crate::losses::{Loss, Reason};
 use crate::manifest::TopicBits;
 use crate::roles::mounts::Mounts;
@@ -99,6 +100,11 @@ impl RoleRows {
                     Ok(_) if role.need_fields() && part.index.is_untyped(channel) => {
                         let none = "expected a schema that names the fields of messages, found JSON without any";
                         refused.push((channel, Fault::data(none).at(format!("topic {topic}"))));
+                    }
+                    Ok(message_type) if hides_images(&role, channel, message_type) => {
+                        let none = "expected a schema that says `contentEncoding: base64` of the field that holds the \
+                                    image, as images in JSON are found by it, found none";
+                        part.lose_topic(channel, none.to_owned());
                     }
                     Ok(message_type) => {
                         channels.insert(channel.id, found.len());
@@ -268,6 +274,15 @@ impl RowBuilder for RoleRows {
             read.columns[column].clone()
         })
     }
+}
+
+/// Whether a role reads images, and the schema of a JSON channel does not say that there are some.
+fn hides_images(role: &Messages, channel: &LogChannel, message_type: &MessageType) -> bool {
+    let is_bytes = |member| {
+        let field = message_type.fields().find(member);
+        field.is_some_and(|(_, field)| *field.data_type() == DataType::BinaryView)
+    };
+    channel.message_encoding == "json" && role.image.is_some_and(|member| !is_bytes(member))
 }
 
 /// Where the image of a message lies.

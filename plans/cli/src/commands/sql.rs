@@ -1,6 +1,7 @@
 //! `evermap sql`.
 
 mod schemas;
+mod unplayed;
 
 use std::io::IsTerminal;
 use std::path::Path;
@@ -250,8 +251,13 @@ impl Tables {
     /// Plans one statement, which only reads.
     async fn frame(&self, statement: Statement) -> Result<DataFrame, Fault> {
         let state = self.context.state();
+        let read = state.resolve_table_references(&statement);
         let plan = plan_of(&state, statement).await.or_fault();
         let plan = plan.map_err(|fault| self.explained(fault))?;
+        if let (Some(dataset), Ok(read)) = (&self.dataset, read) {
+            let notes = unplayed::notes(dataset, &read);
+            notes.iter().for_each(|note| line(&format!("note: {note}")));
+        }
         read_only(&plan)?;
         OpenValues::refuse(&plan)?;
         if asks_graphs(&plan).or_fault()? {
