@@ -619,6 +619,16 @@ fn transforms_of_other_names_are_odometry_once_a_manifest_says_the_frame_and_cou
     let folder = tempfile::tempdir().unwrap();
     let at = |name: &str| folder.path().join(name);
     write_moving(&at("drone.mcap"), &[("world", "drone", 0.1)]);
+    let inspected = run_in(folder.path(), &["inspect", "drone.mcap"]).expect(0);
+    let checked = ["check", "trajectory", "--sessions", "drone.mcap"];
+    let checked = run_in(folder.path(), &checked).expect(0).stderr;
+    let lacks = "  trajectory   lacks odometry (step inertial_odometry)\n";
+    assert!(inspected.stdout.contains(lacks), "{}", inspected.stdout);
+    for said in [inspected.stdout, checked] {
+        let note = "nothing comes of odometry, as /tf moves no vehicle: expected a transform from odom to base_link, found \
+                    world -> drone; say which one is the vehicle";
+        assert!(said.contains(note), "{said}");
+    }
     let run = |map: &str, given: &[&str]| run_plan_in(folder.path(), "trajectory", map, given);
     let told = run("none", &["--sessions", "drone.mcap"]).expect(3).stderr;
     for said in [

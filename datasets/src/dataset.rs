@@ -96,6 +96,17 @@ impl Dataset {
         Ok(mounts)
     }
 
+    /// The roles that a session plays with transforms which move no vehicle, so that nothing comes of them, and why, with what
+    /// a manifest may say.
+    pub async fn unmoved(&self, session: &Session) -> Vec<(&'static str, String)> {
+        let mut unmoved = Vec::new();
+        for role in self.roles {
+            let why = robots::unmoved(role, session).await;
+            unmoved.extend(why.map(|why| (role.name, why)));
+        }
+        unmoved
+    }
+
     /// Topics that are called as one of [`Dataset::table_names`] is, and so are not among [`Dataset::tables`].
     pub fn hidden_topics(&self) -> BTreeSet<String> {
         let names = Self::table_names();

@@ -110,6 +110,20 @@ pub(crate) async fn instead(
     Ok(Some((choices, note)))
 }
 
+/// Why nothing comes of the topics that play a role, as their transforms move no vehicle, and what a manifest may say; `None`
+/// where they do, or where reading the role's rows tells.
+pub(crate) async fn unmoved(role: &Role, session: &Session) -> Option<String> {
+    let robots = role.messages()?.robots?;
+    let asked = Asked::of(robots, role.name, session);
+    let mut topics = asked.places.iter().map(|(_, topic)| topic);
+    if topics.all(|topic| session.is_silent(topic)) {
+        return None;
+    }
+    let found = asked.read(*robots, has_any).await.ok()?;
+    let frame = asked.vehicle.frame();
+    (!has_any(&found, frame)).then(|| found.missing(frame))
+}
+
 /// Whether there is any robot, even if a manifest must say which one is meant.
 fn has_any(robots: &Robots, frame: &str) -> bool {
     !matches!(robots.meant(frame), Ok(None))

@@ -1,6 +1,8 @@
 //! Odometry of another frame than the vehicle's: a message names the frame whose pose it has, and poses are read as the
 //! vehicle's.
 
+use std::collections::BTreeSet;
+
 use datafusion::prelude::SessionContext;
 use evermap_algorithms::geometry::pose::Pose;
 use evermap_catalog::{USUAL_VEHICLE, VehicleFrame, footing};
@@ -51,6 +53,23 @@ pub async fn notes(dataset: &Dataset, vehicle: &str) -> Result<Vec<String>, Faul
         notes.extend(note.map(|note| format!("session {}: {note}", session.name)));
     }
     Ok(notes)
+}
+
+/// What the first [`LOOKED_AT`] sessions play with transforms that move no vehicle: the roles, and what a person is told of
+/// them.
+pub async fn unmoved(dataset: &Dataset) -> (BTreeSet<&'static str>, Vec<String>) {
+    let (mut roles, mut notes) = (BTreeSet::new(), Vec::new());
+    for session in dataset.sessions.iter().take(LOOKED_AT) {
+        for (role, why) in dataset.unmoved(session).await {
+            let topics = session.roles.topics(role).join(", ");
+            notes.push(format!(
+                "session {}: nothing comes of {role}, as {topics} moves no vehicle: {why}",
+                session.name
+            ));
+            roles.insert(role);
+        }
+    }
+    (roles, notes)
 }
 
 /// The frame whose pose the first message of a session's odometry has; `None` where it names none. Transforms are chosen

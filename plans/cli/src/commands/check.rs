@@ -12,7 +12,7 @@ use evermap_engine::prepare::{self, vocabulary};
 use evermap_engine::program::Program;
 use evermap_language::{Plan, json_schema};
 use evermap_schemas::Fault;
-use evermap_schemas::roles::{calibration, frames};
+use evermap_schemas::roles::{calibration, frames, odometry};
 use serde_json::Value;
 
 use crate::arguments::{Described, PlanArgs};
@@ -39,6 +39,10 @@ pub async fn check(args: &PlanArgs) -> Ending {
     }
     let vehicle = odometry_frame::vehicle(&program);
     let of_odometry = odometry_frame::notes(&dataset, vehicle).await?;
+    let unmoved = match program.reads_source(odometry::ROLE.name) {
+        true => odometry_frame::unmoved(&dataset).await.1,
+        false => Vec::new(),
+    };
     let roles = [calibration::ROLE, frames::ROLE];
     let of_cameras = match roles.iter().any(|role| program.reads_source(role.name)) {
         true => camera_frames::notes(&dataset, vehicle).await?,
@@ -49,7 +53,7 @@ pub async fn check(args: &PlanArgs) -> Ending {
         false => Vec::new(),
     };
     let of_fixes = fixes::notes(&dataset, &program).await?;
-    let notes = [of_odometry, of_cameras, of_pictures, of_fixes];
+    let notes = [of_odometry, unmoved, of_cameras, of_pictures, of_fixes];
     for note in notes.iter().flatten() {
         line(&format!("note: {note}"));
     }

@@ -71,21 +71,24 @@ pub async fn inspect(args: &InspectArgs) -> Ending {
         }
         None => Vec::new(),
     };
-    let of_pictures = match args.quick {
-        true => Vec::new(),
-        false => pictures::notes(&dataset).await?,
+    let ((unmoved, of_motions), of_pictures) = match args.quick {
+        true => Default::default(),
+        false => (
+            odometry_frame::unmoved(&dataset).await,
+            pictures::notes(&dataset).await?,
+        ),
     };
     let unchecked = (!args.quick).then(|| unchecked(&read)).flatten();
     let of_topics = dataset.notes.iter().cloned();
     let notes = unchecked.into_iter().chain(of_topics).chain(notes);
-    let notes = notes.chain(of_pictures).collect();
+    let notes = notes.chain(of_motions).chain(of_pictures).collect();
     let unmounted = frames
         .as_ref()
         .is_some_and(CoordinateFrames::no_camera_is_mounted);
     let contents = Contents {
         notes,
         frames,
-        plans: plans(&dataset, unmounted)?,
+        plans: plans(&dataset, &unmoved, unmounted)?,
         ..contents(&dataset, part, &read).await?
     };
     let mut stdout = std::io::BufWriter::new(std::io::stdout().lock());
@@ -174,10 +177,15 @@ fn roles(dataset: &Dataset) -> Vec<RoleLine> {
 }
 
 /// What each plan that ships lacks to make something of the file alone. Transforms are of no use to those that need images of
-/// cameras, too, where none says where a camera is mounted.
-fn plans(dataset: &Dataset, unmounted: bool) -> Result<Vec<PlanLine>, Fault> {
+/// cameras, too, where none says where a camera is mounted; nor is a role of which nothing comes, as its transforms move no vehicle.
+fn plans(
+    dataset: &Dataset,
+    unmoved: &BTreeSet<&str>,
+    unmounted: bool,
+) -> Result<Vec<PlanLine>, Fault> {
     let registry = operators::registry();
-    let plays: BTreeSet<String> = dataset.sessions.iter().flat_map(Session::played).collect();
+    let mut plays: BTreeSet<String> = dataset.sessions.iter().flat_map(Session::played).collect();
+    plays.retain(|role| !unmoved.contains(role.as_str()));
     let mut without_mounts = plays.clone();
     let unmounted = unmounted && without_mounts.remove(roles::transforms::ROLE.name);
     let of_mounts = [roles::frames::ROLE.name, roles::transforms::ROLE.name];
