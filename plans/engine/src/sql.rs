@@ -2,6 +2,7 @@
 
 mod arguments;
 pub mod as_of;
+mod asked;
 mod associated;
 mod bounded;
 pub mod described;
@@ -49,6 +50,7 @@ use serde::{Deserialize, Serialize};
 use crate::error::{OrFault, external};
 use crate::nodes::light::LightBatches;
 use crate::sql::arguments::check_arguments;
+use crate::sql::asked::{Operators, asking};
 use crate::sql::associated::associated;
 use crate::sql::bounded::{BYTES_PER_BATCH_ROW, bound_functions};
 use crate::sql::expanded::check_expanded;
@@ -64,6 +66,7 @@ use crate::sql::named::named_apart;
 use crate::sql::overflow::check_overflow;
 use crate::sql::paused::Pauses;
 use crate::sql::pool::SharedPool;
+use crate::sql::term::go_on;
 use crate::sql::widths::check_widths;
 use crate::sql::written::Written;
 
@@ -211,12 +214,16 @@ fn context_of(
         .with_config(config)
         .with_runtime_env(runtime)
         // Of planners the first that has a plan is heard, so those of DataFusion come behind.
-        .with_expr_planners(vec![Arc::new(Members), evermap_functions::extracts()])
+        .with_expr_planners(vec![
+            Arc::new(Operators),
+            Arc::new(Members),
+            evermap_functions::extracts(),
+        ])
         .with_default_features()
         .with_query_planner(Arc::new(as_of::Planner))
         .with_physical_optimizer_rule(Arc::new(LightBatches))
         .with_physical_optimizer_rule(Arc::new(Pauses));
-    let context = SessionContext::new_with_state(state.build());
+    let context = SessionContext::new_with_state(asking(state).build());
     context
         .register_relation_planner(Arc::new(as_of::Relations))
         .or_fault()?;
@@ -369,10 +376,13 @@ async fn plan_of_one(
     }
     let plan = state.statement_to_plan(statement).await;
     let plan = plan.map_err(|error| written.explained(error))?;
-    check_members(&plan)?;
-    check_inlined(&plan)?;
-    check_widths(&plan)?;
+    let checks = [check_members, check_inlined, check_widths];
+    for check in checks {
+        go_on()?;
+        check(&plan)?;
+    }
     check_literals(&plan, &written)?;
+    go_on()?;
     three_valued(plan)
 }
 

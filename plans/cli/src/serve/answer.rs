@@ -6,7 +6,6 @@ use std::time::Duration;
 
 use arrow::array::RecordBatch;
 use arrow::datatypes::SchemaRef;
-use datafusion::common::runtime::SpawnedTask;
 use datafusion::execution::memory_pool::{MemoryConsumer, MemoryPool, MemoryReservation};
 use evermap_engine::error::{OrFault, fault_of};
 use evermap_engine::nodes::weight::bytes;
@@ -18,6 +17,7 @@ use futures::{Stream, StreamExt};
 use tokio::sync::{OwnedSemaphorePermit, Semaphore, mpsc, oneshot};
 use tokio::time::{Instant, timeout_at};
 
+use crate::serve::aside::aside;
 use crate::serve::maps::Opened;
 
 /// What a query may take.
@@ -93,6 +93,19 @@ impl Bounds {
             memory: Arc::clone(&self.memory),
             _place: place,
         }))
+    }
+}
+
+impl Bounds {
+    /// What planning alone says, if it ends in time: it needs no place among the queries that run.
+    ///
+    /// # Errors
+    /// A resource fault when the time is over.
+    pub async fn planning<T>(&self, work: impl Future<Output = T>) -> Result<T, Fault> {
+        let deadline = Instant::now() + self.timeout;
+        let term = Term::until(deadline.into_std(), too_long(self.timeout));
+        let done = timeout_at(deadline, term.of(work)).await;
+        done.map_err(|_| too_long(self.timeout))
     }
 }
 
@@ -277,16 +290,11 @@ pub struct Answer {
 pub async fn answer(opened: &Opened, query: &str, bounds: &Bounds) -> Result<Answer, Fault> {
     let turn = bounds.turn().await?;
     let (context, query) = (opened.context.clone(), query.to_owned());
-    // On a thread that can be left behind: what is planned, and folded meanwhile, may compute for long without a pause.
-    let planned = async move {
-        let task = SpawnedTask::spawn(async move {
-            let frame = read_only(&context, &query).await?;
-            frame.execute_stream().await.or_fault()
-        });
-        task.join().await
-    };
-    let ended = |error| Fault::bug(format!("planning ended: {error}"));
-    let stream = turn.within(planned).await?.map_err(ended)??;
+    let planned = aside(async move {
+        let frame = read_only(&context, &query).await?;
+        frame.execute_stream().await.or_fault()
+    });
+    let stream = turn.within(planned).await???;
     let schema = stream.schema();
     let rows = stream.map(|batch| batch.map_err(|error| fault_of(&error)));
     Ok(Answer {

@@ -37,6 +37,7 @@ use tonic::{Request, Response, Status, Streaming};
 
 use crate::output::with_columns;
 use crate::serve::answer::{Bounds, answer};
+use crate::serve::aside::aside;
 use crate::serve::maps::{Maps, Opened, ServedMap};
 
 /// What a table is called here.
@@ -98,11 +99,12 @@ impl Flight {
         let opened = map.newest().await.map_err(status)?;
         let turn = self.bounds.turn().await.map_err(status)?;
         // Drivers compare these columns with those that come: planned to the end, they are the same.
-        let planned = turn.within(async {
-            let frame = read_only(&opened.context, &query).await?;
+        let (context, text) = (opened.context.clone(), query.clone());
+        let planned = turn.within(aside(async move {
+            let frame = read_only(&context, &text).await?;
             frame.create_physical_plan().await.or_fault()
-        });
-        let planned = planned.await.and_then(|planned| planned);
+        }));
+        let planned = planned.await.flatten().flatten();
         let schema = sent(planned.map_err(status)?.schema());
         let version = opened.version();
         Ok((Planned { query, version }, schema))

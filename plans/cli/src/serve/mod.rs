@@ -17,6 +17,7 @@
 
 mod access;
 mod answer;
+mod aside;
 mod flight;
 mod http;
 mod maps;

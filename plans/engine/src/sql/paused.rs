@@ -32,6 +32,7 @@ impl PhysicalOptimizerRule for Pauses {
         plan: Arc<dyn ExecutionPlan>,
         _options: &ConfigOptions,
     ) -> Result<Arc<dyn ExecutionPlan>> {
+        go_on()?;
         let paused = plan.transform_up(|plan| {
             let makes_many = plan.children().len() > 1 || plan.is::<UnnestExec>();
             if !makes_many {

@@ -26,6 +26,7 @@ use pgwire::api::results::{FieldFormat, QueryResponse, Response, Tag};
 use pgwire::error::{PgWireError, PgWireResult};
 use pgwire::types::format::FormatOptions;
 
+use crate::serve::aside::aside;
 use crate::serve::postgres::catalog::{in_its_words, is_of_catalog, no_rows};
 use crate::serve::postgres::cursors;
 use crate::serve::postgres::functions::{NO_PATH, PATH, SETTINGS, leads_elsewhere};
@@ -279,15 +280,17 @@ pub(super) async fn reading(
 
 async fn planned(statement: Statement, context: &SessionContext) -> PgWireResult<LogicalPlan> {
     let parsed = Parsed::Statement(Box::new(statement));
-    let plan = plan_of(&context.state(), parsed).await;
-    let allowed = SQLOptions::new()
-        .with_allow_ddl(false)
-        .with_allow_dml(false)
-        .with_allow_statements(false);
-    let plan = plan.and_then(|plan| {
+    let state = context.state();
+    let plan = aside(async move {
+        let plan = plan_of(&state, parsed).await?;
+        let allowed = SQLOptions::new()
+            .with_allow_ddl(false)
+            .with_allow_dml(false)
+            .with_allow_statements(false);
         allowed.verify_plan(&plan)?;
         without_bytes(as_extended(as_json(as_texts(with_types(plan)?)?)?)?)
     });
+    let plan = plan.await.map_err(|fault| said(&fault))?;
     plan.map_err(|error| said(&explained(context, fault_of(&error))))
 }
 
@@ -302,7 +305,9 @@ pub(super) async fn rows(
     let plan = as_text(plan, is_text).map_err(|error| said(&fault_of(&error)))?;
     let frame = DataFrame::new(context.state(), plan.clone());
     let options = Arc::new(FormatOptions::from_client_metadata(client.metadata()));
-    let rows = encode_dataframe(frame, format, Some(options)).await;
+    let format = format.clone();
+    let rows = aside(async move { encode_dataframe(frame, &format, Some(options)).await });
+    let rows = rows.await.map_err(|fault| said(&fault))?;
     let rows = rows.map_err(fault_in_our_words)?;
     let columns = told(&plan, rows.row_schema().to_vec());
     let QueryResponse { data_rows, .. } = rows;

@@ -86,7 +86,10 @@ pub async fn serve(
         let clients = Arc::clone(&clients);
         let startup = Startup::new(&access, Arc::clone(&manager), clients, asked, refused);
         let queries = Queries {
-            parser: Arc::new(Parser { maps: maps.clone() }),
+            parser: Arc::new(Parser {
+                maps: maps.clone(),
+                bounds: bounds.clone(),
+            }),
             bounds: bounds.clone(),
         };
         let handlers = Handlers {
@@ -210,6 +213,7 @@ impl ExtendedQueryHandler for Queries {
 /// Plans queries on the newest version of a map.
 struct Parser {
     maps: Maps,
+    bounds: Bounds,
 }
 
 /// What says the types of plans, which are the same on every map.
@@ -359,7 +363,10 @@ impl QueryParser for Parser {
         let parser = opened.postgres.query_parser();
         let lists = arrays::as_lists(query)?;
         let typed = parameters::as_declared(&lists, types);
-        let planned = parser.parse_sql(client, &typed, types).await;
+        let planned = self
+            .bounds
+            .planning(parser.parse_sql(client, &typed, types));
+        let planned = planned.await.map_err(|fault| said(&fault))?;
         let planned = planned.map_err(fault_in_our_words)?;
         Ok(planned.map(|(_, plan)| (noted(query, &opened), plan)))
     }
