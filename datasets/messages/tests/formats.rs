@@ -216,6 +216,16 @@ fn json_follows_its_schema() {
     );
 }
 
+proptest::proptest! {
+    #[test]
+    fn numbers_of_json_are_those_that_were_written(x in proptest::num::f64::NORMAL) {
+        let schema = br#"{"type":"object","properties":{"x":{"type":"number"}}}"#;
+        let message = MessageType::parse("json", "jsonschema", "T", schema).unwrap();
+        let read = decode(&message, format!(r#"{{"x":{x:?}}}"#).as_bytes());
+        proptest::prop_assert_eq!(read[0].as_primitive::<Float64Type>().value(0).to_bits(), x.to_bits());
+    }
+}
+
 /// Protobuf on the wire: a varint, a field of bytes, a field of a number.
 fn varint(mut value: u64) -> Vec<u8> {
     let mut bytes = Vec::new();
