@@ -442,7 +442,7 @@ fn what_lies_kilometres_away_is_refused_left_out_and_can_be_removed() {
     let told = "1  label kilometres from every vehicle pose, in no layer that labels make";
     assert!(run.stderr.contains(told), "{}", run.stderr);
     let near = ("near".to_owned(), 500, 300, "pose".to_owned());
-    assert_eq!(lot.labels(), [near.clone()]);
+    assert_eq!(lot.labels(), std::slice::from_ref(&near));
     let mut gone = collection(&[("utm", Value::Null)]);
     gone["features"][0]["properties"]["standing"] = "removed".into();
     let said = lot.import("ada", &gone, &[]).expect(3);
