@@ -12,6 +12,7 @@ mod inlined;
 mod joined;
 mod lengths;
 mod literals;
+mod measures;
 mod members;
 mod membership;
 mod misread;

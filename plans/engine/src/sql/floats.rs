@@ -5,8 +5,7 @@
 mod aggregates;
 mod compared;
 mod decimals;
-mod extremes;
-mod moving;
+mod order;
 mod percentile;
 mod statistics;
 mod sums;
@@ -21,10 +20,9 @@ use datafusion::prelude::SessionContext;
 use crate::sql::floats::aggregates::{FloatAggregate, Of};
 use crate::sql::floats::compared::ComparedFloats;
 use crate::sql::floats::decimals::DoublesBesideDecimals;
-use crate::sql::floats::extremes::Side;
 use crate::sql::floats::statistics::STATISTICS;
+use crate::sql::measures::Side;
 
-pub use moving::Moving;
 pub use sums::FloatSum;
 
 /// Has a context compare floating point numbers, and tell those of groups and windows, as Postgres does.

@@ -1,6 +1,5 @@
 //! DataFusion's `min`, `max`, percentiles, variances and regressions, but for what it tells wrongly of floating point numbers.
 
-use std::fmt::Debug;
 use std::sync::Arc;
 
 use arrow::datatypes::{
@@ -14,10 +13,10 @@ use datafusion::logical_expr::{
     SetMonotonicity, Signature, StatisticsArgs,
 };
 
-use crate::sql::floats::extremes::{Extreme, ExtremeOfAll, ExtremesOfGroups, Side};
-use crate::sql::floats::moving::Moving;
+use crate::sql::floats::order::order;
 use crate::sql::floats::percentile::Percentile;
-use crate::sql::floats::statistics::Statistic;
+use crate::sql::floats::statistics::{Statistic, state_fields};
+use crate::sql::measures::{Extreme, Moving, OfAll, OfGroups, Side};
 
 /// A function of DataFusion, and what is told here in its place. A percentile at 0 or 1 does not become DataFusion's own
 /// `min` or `max`, as it would by `simplify`.
@@ -34,7 +33,7 @@ pub struct FloatAggregate {
 pub enum Of {
     /// The least or the greatest, of all rows, of groups and of windows.
     Extreme(Side),
-    /// A statistic of a window that moves.
+    /// A statistic of all rows, of groups and of windows.
     Statistic(Statistic),
     /// A percentile, between two numbers where it is.
     Percentile,
@@ -48,7 +47,7 @@ struct Way {
 }
 
 impl Way {
-    fn of<T: ArrowPrimitiveType + Debug + Send + Sync>() -> Self {
+    fn of<T: ArrowPrimitiveType>() -> Self {
         Self {
             all: all::<T>,
             moving: moving::<T>,
@@ -57,16 +56,16 @@ impl Way {
     }
 }
 
-fn all<T: ArrowPrimitiveType + Debug + Send + Sync>(side: Side) -> Box<dyn Accumulator> {
-    Box::new(ExtremeOfAll::<T>::new(side))
+fn all<T: ArrowPrimitiveType>(side: Side) -> Box<dyn Accumulator> {
+    Box::new(OfAll::new(Extreme::<T>::new(side, order)))
 }
 
-fn moving<T: ArrowPrimitiveType + Debug + Send + Sync>(side: Side) -> Box<dyn Accumulator> {
-    Box::new(Moving::new(Extreme::<T>::new(side)))
+fn moving<T: ArrowPrimitiveType>(side: Side) -> Box<dyn Accumulator> {
+    Box::new(Moving::new(Extreme::<T>::new(side, order)))
 }
 
-fn groups<T: ArrowPrimitiveType + Debug + Send + Sync>(side: Side) -> Box<dyn GroupsAccumulator> {
-    Box::new(ExtremesOfGroups::<T>::new(side))
+fn groups<T: ArrowPrimitiveType>(side: Side) -> Box<dyn GroupsAccumulator> {
+    Box::new(OfGroups::new(Extreme::<T>::new(side, order)))
 }
 
 impl FloatAggregate {
@@ -82,6 +81,14 @@ impl FloatAggregate {
             _ => return None,
         };
         Some((side, way))
+    }
+
+    /// A statistic that is told here; where each number is counted once, DataFusion does it.
+    fn statistic(&self, is_distinct: bool) -> Option<Statistic> {
+        match self.of {
+            Of::Statistic(statistic) if !is_distinct => Some(statistic),
+            _ => None,
+        }
     }
 }
 
@@ -115,6 +122,9 @@ impl AggregateUDFImpl for FloatAggregate {
     }
 
     fn accumulator(&self, args: AccumulatorArgs) -> Result<Box<dyn Accumulator>> {
+        if let Some(statistic) = self.statistic(args.is_distinct) {
+            return Ok(Box::new(OfAll::new(statistic)));
+        }
         if let Some((side, way)) = self.extreme(args.return_type()) {
             return Ok((way.all)(side));
         }
@@ -130,34 +140,39 @@ impl AggregateUDFImpl for FloatAggregate {
     }
 
     fn create_sliding_accumulator(&self, args: AccumulatorArgs) -> Result<Box<dyn Accumulator>> {
+        if let Some(statistic) = self.statistic(args.is_distinct) {
+            return Ok(Box::new(Moving::new(statistic)));
+        }
         match (self.of, self.extreme(args.return_type())) {
             (_, Some((side, way))) => Ok((way.moving)(side)),
-            (Of::Statistic(statistic), _) if !args.is_distinct => {
-                Ok(Box::new(Moving::new(statistic)))
-            }
             (Of::Percentile, _) => self.accumulator(args),
             _ => self.inner.create_sliding_accumulator(args),
         }
     }
 
     fn state_fields(&self, args: StateFieldsArgs) -> Result<Vec<FieldRef>> {
-        self.inner.state_fields(args)
+        match self.statistic(args.is_distinct) {
+            Some(_) => Ok(state_fields(args.name)),
+            None => self.inner.state_fields(args),
+        }
     }
 
-    /// Correlations of groups are told one by one: all at once DataFusion takes sums of squares from each other, and what is
-    /// left of large numbers is noise. So are percentiles.
+    /// Percentiles of groups are told one by one.
     fn groups_accumulator_supported(&self, args: AccumulatorArgs) -> bool {
-        let is_single = matches!(
-            self.of,
-            Of::Percentile | Of::Statistic(Statistic::Correlation)
-        );
-        !is_single && self.inner.groups_accumulator_supported(args)
+        match self.of {
+            Of::Percentile => false,
+            Of::Statistic(_) => !args.is_distinct,
+            Of::Extreme(_) => self.inner.groups_accumulator_supported(args),
+        }
     }
 
     fn create_groups_accumulator(
         &self,
         args: AccumulatorArgs,
     ) -> Result<Box<dyn GroupsAccumulator>> {
+        if let Some(statistic) = self.statistic(args.is_distinct) {
+            return Ok(Box::new(OfGroups::new(statistic)));
+        }
         match self.extreme(args.return_type()) {
             Some((side, way)) => Ok((way.groups)(side)),
             None => self.inner.create_groups_accumulator(args),

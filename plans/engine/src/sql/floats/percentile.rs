@@ -11,7 +11,7 @@ use datafusion::common::{Result, ScalarValue};
 use datafusion::logical_expr::function::AccumulatorArgs;
 use datafusion::logical_expr::{Accumulator, ColumnarValue};
 
-use crate::sql::floats::extremes::order;
+use crate::sql::floats::order::order;
 
 /// A percentile of all rows, or of those in a window.
 #[derive(Debug)]
@@ -73,7 +73,7 @@ impl Percentile {
 }
 
 /// So far from one number to another.
-fn between(lower: f64, upper: f64, share: f64) -> f64 {
+pub fn between(lower: f64, upper: f64, share: f64) -> f64 {
     let apart = upper - lower;
     match apart.is_finite() {
         true => lower + apart * share,

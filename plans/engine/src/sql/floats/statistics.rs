@@ -1,10 +1,16 @@
-//! Variances, covariances and regressions of a window that moves.
+//! Variances, covariances and regressions. Where a number is infinite or NaN they are NaN. DataFusion has the variance of
+//! one infinity for 0, takes sums of squares from each other, which leaves noise of large numbers, and does not say how well
+//! a line fits that is level.
 
-use arrow::array::{ArrayRef, AsArray};
-use arrow::datatypes::Float64Type;
+use std::sync::Arc;
+
+use arrow::array::{ArrayRef, AsArray, Float64Array, UInt64Array};
+use arrow::datatypes::{DataType, Field, FieldRef, Float64Type, UInt64Type};
 use datafusion::common::{Result, ScalarValue};
+use datafusion::logical_expr::utils::format_state_name;
 
-use crate::sql::floats::moving::Measure;
+use crate::sql::floats::percentile::between;
+use crate::sql::measures::{Measure, Spread};
 
 /// What is told of numbers, or of pairs of them, the dependent one first.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
@@ -29,7 +35,7 @@ pub enum Statistic {
     Intercept,
     /// How many pairs there are.
     Count,
-    /// The square of [`Self::Correlation`].
+    /// How much of the dependent number the line tells: the square of [`Self::Correlation`], and all where it is level.
     Determination,
     /// The mean of the independent number.
     MeanX,
@@ -94,25 +100,46 @@ impl Moments {
         (by > 0).then(|| sum / by as f64)
     }
 
-    /// As `corr` tells it of rows that are no window.
+    /// `None` where one of the numbers is always the same.
     fn correlation(self) -> Option<f64> {
-        if self.mean_x.is_nan() && self.mean_y.is_nan() {
-            return Some(f64::NAN);
-        }
-        let is_open = self.count < 2 || self.mean_x.is_nan() || self.mean_y.is_nan();
+        let is_open = self.xx == 0.0 || self.yy == 0.0;
         let count = self.count as f64;
         let (off_x, off_y) = ((self.xx / count).sqrt(), (self.yy / count).sqrt());
-        (!is_open && off_x != 0.0 && off_y != 0.0).then(|| self.xy / count / off_x / off_y)
+        (!is_open).then(|| self.xy / count / off_x / off_y)
     }
 
+    /// `None` of a line that stands upright, or is a point.
     fn slope(self) -> Option<f64> {
-        (self.count > 1 && self.xx != 0.0).then(|| self.xy / self.xx)
+        (self.xx != 0.0).then(|| self.xy / self.xx)
     }
 
     fn determination(self) -> Option<f64> {
-        let is_line = self.count > 1 && self.xx != 0.0 && self.yy != 0.0;
-        is_line.then(|| (self.xy / self.xx) * (self.xy / self.yy))
+        let slope = self.slope()?;
+        Some(match self.yy == 0.0 {
+            true => 1.0,
+            false => slope * (self.xy / self.yy),
+        })
     }
+
+    /// Numbers of floating point, as they stand in the columns behind [`Self::count`].
+    fn numbers(self) -> [f64; 5] {
+        [self.mean_x, self.mean_y, self.xx, self.yy, self.xy]
+    }
+}
+
+/// What columns of partial answers are called.
+const COLUMNS: [&str; 5] = ["mean_x", "mean_y", "xx", "yy", "xy"];
+
+/// The columns of partial answers.
+pub fn state_fields(name: &str) -> Vec<FieldRef> {
+    let field = |column: &str, kind: DataType| -> FieldRef {
+        let name = format_state_name(name, column);
+        Arc::new(Field::new(name, kind, true))
+    };
+    let numbers = COLUMNS.map(|column| field(column, DataType::Float64));
+    std::iter::once(field("count", DataType::UInt64))
+        .chain(numbers)
+        .collect()
 }
 
 impl Statistic {
@@ -142,7 +169,7 @@ impl Measure for Statistic {
     type Part = Moments;
 
     /// Of one column each number is its own pair.
-    fn parts(&self, values: &[ArrayRef]) -> Vec<Moments> {
+    fn parts(&self, values: &[ArrayRef]) -> Vec<Option<Moments>> {
         let (Some(first), Some(last)) = (values.first(), values.last()) else {
             return Vec::new();
         };
@@ -150,8 +177,9 @@ impl Measure for Statistic {
             first.as_primitive::<Float64Type>(),
             last.as_primitive::<Float64Type>(),
         );
-        let pairs = y.iter().zip(x).filter_map(|(y, x)| y.zip(x));
-        pairs.map(|(y, x)| Moments::of(y, x)).collect()
+        let pairs = y.iter().zip(x).map(|(y, x)| y.zip(x));
+        let pairs = pairs.map(|pair| pair.map(|(y, x)| Moments::of(y, x)));
+        pairs.collect()
     }
 
     /// By the formulas of Chan, Golub and LeVeque.
@@ -162,8 +190,8 @@ impl Measure for Statistic {
         let weight = before.count as f64 * share;
         Moments {
             count,
-            mean_x: before.mean_x + x * share,
-            mean_y: before.mean_y + y * share,
+            mean_x: between(before.mean_x, after.mean_x, share),
+            mean_y: between(before.mean_y, after.mean_y, share),
             xx: before.xx + after.xx + x * x * weight,
             yy: before.yy + after.yy + y * y * weight,
             xy: before.xy + after.xy + x * y * weight,
@@ -175,5 +203,50 @@ impl Measure for Statistic {
             Self::Count => ScalarValue::UInt64(Some(all.map_or(0, |all| all.count))),
             _ => ScalarValue::Float64(all.and_then(|all| self.number(all))),
         })
+    }
+}
+
+impl Spread for Statistic {
+    fn answers(&self, all: Vec<Option<Moments>>) -> ArrayRef {
+        let all = all.into_iter();
+        match self {
+            Self::Count => Arc::new(UInt64Array::from_iter_values(
+                all.map(|all| all.map_or(0, |all| all.count)),
+            )),
+            _ => {
+                let numbers = all.map(|all| all.and_then(|all| self.number(all)));
+                Arc::new(numbers.collect::<Float64Array>())
+            }
+        }
+    }
+
+    fn columns(&self, parts: Vec<Option<Moments>>) -> Vec<ArrayRef> {
+        let counts = parts.iter().map(|part| part.map_or(0, |part| part.count));
+        let counts: ArrayRef = Arc::new(UInt64Array::from_iter_values(counts));
+        let column = |at: usize| -> ArrayRef {
+            let numbers = parts.iter().map(|part| part.map(|part| part.numbers()[at]));
+            Arc::new(numbers.collect::<Float64Array>())
+        };
+        let numbers = (0..COLUMNS.len()).map(column);
+        std::iter::once(counts).chain(numbers).collect()
+    }
+
+    fn of_columns(&self, columns: &[ArrayRef]) -> Vec<Option<Moments>> {
+        let [counts, mean_x, mean_y, xx, yy, xy] = columns else {
+            return Vec::new();
+        };
+        let number = |column: &ArrayRef, row| column.as_primitive::<Float64Type>().value(row);
+        let counts = counts.as_primitive::<UInt64Type>().values().iter();
+        let parts = counts.enumerate().map(|(row, &count)| {
+            (count > 0).then(|| Moments {
+                count,
+                mean_x: number(mean_x, row),
+                mean_y: number(mean_y, row),
+                xx: number(xx, row),
+                yy: number(yy, row),
+                xy: number(xy, row),
+            })
+        });
+        parts.collect()
     }
 }

@@ -4,7 +4,7 @@ use arrow::array::{ArrayRef, AsArray};
 use arrow::datatypes::Float64Type;
 use datafusion::common::{Result, ScalarValue};
 
-use crate::sql::floats::moving::Measure;
+use crate::sql::measures::Measure;
 
 /// What is made of a window: its sum, or its mean.
 #[derive(Debug)]
@@ -34,17 +34,17 @@ impl Total {
 impl Measure for FloatSum {
     type Part = Total;
 
-    fn parts(&self, values: &[ArrayRef]) -> Vec<Total> {
+    fn parts(&self, values: &[ArrayRef]) -> Vec<Option<Total>> {
         let values = values
             .iter()
             .map(|values| values.as_primitive::<Float64Type>());
-        let values = values.flat_map(|values| values.iter().flatten());
+        let values = values.flat_map(|values| values.iter());
         let total = |sum| Total {
             count: 1,
             sum,
             lost: 0.0,
         };
-        values.map(total).collect()
+        values.map(|value| value.map(total)).collect()
     }
 
     /// By Knuth's sum of two numbers, which tells what is lost.

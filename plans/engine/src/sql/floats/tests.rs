@@ -6,8 +6,9 @@ use arrow::util::display::array_value_to_string;
 use datafusion::logical_expr::Accumulator;
 use datafusion::prelude::SessionContext;
 
+use crate::sql::floats::FloatSum;
 use crate::sql::floats::statistics::Statistic;
-use crate::sql::floats::{FloatSum, Moving};
+use crate::sql::measures::Moving;
 use crate::sql::{Limits, context};
 
 /// Groups of two numbers each, of which one is NaN with a sign, or infinite; and both zeros.
@@ -163,6 +164,57 @@ async fn percentiles_are_as_far_between_two_numbers_as_they_are() {
             "SELECT percentile_cont(r, 0.25), percentile_cont(i, 0.25) FROM (SELECT i, CAST(i AS REAL) AS r FROM t) u",
             &["2.5|2.5"],
         ),
+    ])
+    .await;
+}
+
+#[tokio::test]
+async fn statistics_of_infinities_are_no_numbers() {
+    const VALUES: &str = "FROM (VALUES (1, CAST('inf' AS DOUBLE), 1.0), (2, 2.0, 2.0), (2, CAST('-inf' AS DOUBLE), 4.0), \
+        (3, 1.0, 2.0), (3, 3.0, 4.0)) v (k, a, b)";
+    let told = "var_pop(a), var_samp(a), stddev_pop(a), covar_pop(a, b), corr(a, b), regr_sxx(b, a), regr_avgx(b, a)";
+    let grouped = format!("SELECT {told} {VALUES} GROUP BY k ORDER BY k");
+    let whole = format!("SELECT {told} {VALUES} WHERE k = 1");
+    let moving = "SELECT var_pop(a) OVER w, covar_samp(a, b) OVER w, corr(a, b) OVER w";
+    let moving = format!(
+        "{moving} {VALUES} WINDOW w AS (ORDER BY b, k ROWS BETWEEN 1 PRECEDING AND CURRENT ROW) ORDER BY b, k"
+    );
+    let one = "NaN||NaN|NaN||NaN|inf";
+    all_answer(&[
+        (
+            &grouped,
+            &[
+                one,
+                "NaN|NaN|NaN|NaN|NaN|NaN|-inf",
+                "1.0|2.0|1.0|1.0|1.0|2.0|2.0",
+            ],
+        ),
+        (&whole, &[one]),
+        (
+            &moving,
+            &[
+                "NaN||",
+                "NaN|NaN|NaN",
+                "0.25|0.0|",
+                "NaN|NaN|NaN",
+                "NaN|NaN|",
+            ],
+        ),
+    ])
+    .await;
+}
+
+#[tokio::test]
+async fn a_level_line_tells_all_and_an_upright_one_nothing() {
+    const VALUES: &str = "FROM (VALUES (1, 1.0, 5.0), (1, 2.0, 5.0), (2, 3.0, 6.0), (2, 3.0, 7.0), (3, 1.0, NULL)) v (k, x, y)";
+    let told = "SELECT regr_r2(y, x), regr_slope(y, x), corr(y, x), regr_count(y, x)";
+    let grouped = format!("{told} {VALUES} GROUP BY k ORDER BY k");
+    let moving = format!(
+        "SELECT regr_r2(y, x) OVER (ORDER BY y ROWS BETWEEN 1 PRECEDING AND CURRENT ROW) {VALUES} WHERE k = 1"
+    );
+    all_answer(&[
+        (&grouped, &["1.0|0.0||2", "|||2", "|||0"]),
+        (&moving, &["", "1.0"]),
     ])
     .await;
 }

@@ -2,22 +2,23 @@
 
 use std::sync::{Arc, LazyLock};
 
-use arrow::array::{ArrayRef, AsArray};
-use arrow::datatypes::{DataType, IntervalMonthDayNano, IntervalMonthDayNanoType};
-use datafusion::common::{DFSchema, Result, ScalarValue};
+use arrow::datatypes::{DataType, IntervalMonthDayNanoType};
+use datafusion::common::{DFSchema, Result};
 use datafusion::logical_expr::function::AccumulatorArgs;
 use datafusion::logical_expr::{
-    Accumulator, AggregateUDF, AggregateUDFImpl, Expr, ExprSchemable, Signature, Volatility,
+    Accumulator, AggregateUDF, AggregateUDFImpl, Expr, ExprSchemable, GroupsAccumulator, Signature,
+    Volatility,
 };
 
-use crate::sql::lengths::length::{WHOLE, length};
+use crate::sql::lengths::length::{WHOLE, order};
+use crate::sql::measures::{Extreme, Moving, OfAll, OfGroups, Side};
 
-static SHORTEST: LazyLock<Arc<AggregateUDF>> = LazyLock::new(|| function(false));
-static LONGEST: LazyLock<Arc<AggregateUDF>> = LazyLock::new(|| function(true));
+static SHORTEST: LazyLock<Arc<AggregateUDF>> = LazyLock::new(|| function(Side::Least));
+static LONGEST: LazyLock<Arc<AggregateUDF>> = LazyLock::new(|| function(Side::Greatest));
 
-fn function(is_longest: bool) -> Arc<AggregateUDF> {
-    Arc::new(AggregateUDF::new_from_impl(Extreme {
-        is_longest,
+fn function(side: Side) -> Arc<AggregateUDF> {
+    Arc::new(AggregateUDF::new_from_impl(ExtremeInterval {
+        side,
         signature: Signature::exact(vec![WHOLE], Volatility::Immutable),
     }))
 }
@@ -43,16 +44,16 @@ pub fn of_intervals(
 }
 
 #[derive(Debug, PartialEq, Eq, Hash)]
-struct Extreme {
-    is_longest: bool,
+struct ExtremeInterval {
+    side: Side,
     signature: Signature,
 }
 
-impl AggregateUDFImpl for Extreme {
+impl AggregateUDFImpl for ExtremeInterval {
     fn name(&self) -> &str {
-        match self.is_longest {
-            true => "longest_interval",
-            false => "shortest_interval",
+        match self.side {
+            Side::Greatest => "longest_interval",
+            Side::Least => "shortest_interval",
         }
     }
 
@@ -65,49 +66,22 @@ impl AggregateUDFImpl for Extreme {
     }
 
     fn accumulator(&self, _: AccumulatorArgs) -> Result<Box<dyn Accumulator>> {
-        Ok(Box::new(Found {
-            is_longest: self.is_longest,
-            best: None,
-        }))
+        Ok(Box::new(OfAll::new(of(self.side))))
+    }
+
+    fn create_sliding_accumulator(&self, _: AccumulatorArgs) -> Result<Box<dyn Accumulator>> {
+        Ok(Box::new(Moving::new(of(self.side))))
+    }
+
+    fn groups_accumulator_supported(&self, _: AccumulatorArgs) -> bool {
+        true
+    }
+
+    fn create_groups_accumulator(&self, _: AccumulatorArgs) -> Result<Box<dyn GroupsAccumulator>> {
+        Ok(Box::new(OfGroups::new(of(self.side))))
     }
 }
 
-/// The best so far, with its length; of those of one length by its parts, in whatever order they come.
-#[derive(Debug)]
-struct Found {
-    is_longest: bool,
-    best: Option<(i128, IntervalMonthDayNano)>,
-}
-
-impl Accumulator for Found {
-    fn update_batch(&mut self, values: &[ArrayRef]) -> Result<()> {
-        for intervals in values {
-            let intervals = intervals.as_primitive::<IntervalMonthDayNanoType>();
-            let found = intervals.iter().flatten();
-            let found = found.map(|interval| (length(interval), interval));
-            let all = self.best.into_iter().chain(found);
-            self.best = match self.is_longest {
-                true => all.max(),
-                false => all.min(),
-            };
-        }
-        Ok(())
-    }
-
-    fn merge_batch(&mut self, states: &[ArrayRef]) -> Result<()> {
-        self.update_batch(states)
-    }
-
-    fn state(&mut self) -> Result<Vec<ScalarValue>> {
-        Ok(vec![self.evaluate()?])
-    }
-
-    fn evaluate(&mut self) -> Result<ScalarValue> {
-        let best = self.best.map(|(_, interval)| interval);
-        Ok(ScalarValue::IntervalMonthDayNano(best))
-    }
-
-    fn size(&self) -> usize {
-        size_of_val(self)
-    }
+fn of(side: Side) -> Extreme<IntervalMonthDayNanoType> {
+    Extreme::new(side, order)
 }

@@ -126,6 +126,11 @@ async fn the_shortest_and_the_longest_interval_are_found() {
                 "days",
             ),
             (
+                "SELECT max(i) OVER w = INTERVAL '40 days', min(i) OVER w = INTERVAL '30 days' FROM t WHERE g = 1 \
+                 WINDOW w AS (ORDER BY name ROWS BETWEEN 1 PRECEDING AND CURRENT ROW) ORDER BY name",
+                "true false, true false, false true",
+            ),
+            (
                 "SELECT x = INTERVAL '960 hours' FROM (SELECT max(i) FROM t) longest (x) WHERE x > INTERVAL '39 days'",
                 "true",
             ),

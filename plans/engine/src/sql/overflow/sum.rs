@@ -14,8 +14,9 @@ use datafusion::logical_expr::{
     SetMonotonicity, Signature,
 };
 
-use crate::sql::floats::{FloatSum, Moving};
+use crate::sql::floats::FloatSum;
 use crate::sql::lengths::WHOLE;
+use crate::sql::measures::Moving;
 use crate::sql::overflow::intervals::IntervalSum;
 use crate::sql::overflow::totals::{Adds, DistinctSum, Groups, Sum, WIDE, Whole};
 

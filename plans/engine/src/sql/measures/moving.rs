@@ -1,26 +1,11 @@
 //! Windows that move. What is told of one is put together of what is known of parts of it, and nothing is taken away again:
 //! NaN and infinity leave no trace, and no digits are lost to values that have left.
 
-use std::fmt::Debug;
-
 use arrow::array::ArrayRef;
 use datafusion::common::{Result, ScalarValue, not_impl_err};
 use datafusion::logical_expr::Accumulator;
 
-/// What is told of rows.
-pub trait Measure: Debug + Send + Sync + 'static {
-    /// What is known of rows that follow each other.
-    type Part: Copy + Debug + Send + Sync + 'static;
-
-    /// What is known of each row that counts: of nulls nothing is.
-    fn parts(&self, values: &[ArrayRef]) -> Vec<Self::Part>;
-
-    /// What is known of rows and of those behind them.
-    fn joined(&self, before: Self::Part, after: Self::Part) -> Self::Part;
-
-    /// The answer; `None` stands for no rows.
-    fn answer(&self, all: Option<Self::Part>) -> Result<ScalarValue>;
-}
+use crate::sql::measures::{Measure, both};
 
 /// What is known of the rows of a window, which leave it in the order in which they came. Each row is moved once from those
 /// at the back to those in front, so it costs three steps however many rows there are.
@@ -47,8 +32,7 @@ impl<M: Measure> Moving<M> {
     }
 
     fn push(&mut self, row: M::Part) {
-        let behind = self.behind;
-        self.behind = Some(behind.map_or(row, |before| self.measure.joined(before, row)));
+        self.behind = both(&self.measure, self.behind, Some(row));
         self.back.push(row);
     }
 
@@ -65,23 +49,20 @@ impl<M: Measure> Moving<M> {
     }
 
     fn all(&self) -> Option<M::Part> {
-        match (self.front.last().copied(), self.behind) {
-            (Some(before), Some(after)) => Some(self.measure.joined(before, after)),
-            (front, behind) => front.or(behind),
-        }
+        both(&self.measure, self.front.last().copied(), self.behind)
     }
 }
 
 impl<M: Measure> Accumulator for Moving<M> {
     fn update_batch(&mut self, values: &[ArrayRef]) -> Result<()> {
-        for row in self.measure.parts(values) {
+        for row in self.measure.parts(values).into_iter().flatten() {
             self.push(row);
         }
         Ok(())
     }
 
     fn retract_batch(&mut self, values: &[ArrayRef]) -> Result<()> {
-        for _ in self.measure.parts(values) {
+        for _ in self.measure.parts(values).into_iter().flatten() {
             self.pop();
         }
         Ok(())
