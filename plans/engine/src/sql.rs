@@ -5,6 +5,7 @@ pub mod as_of;
 mod asked;
 mod associated;
 mod bounded;
+mod compared;
 pub mod described;
 mod expanded;
 mod floats;
@@ -54,11 +55,12 @@ use crate::sql::arguments::check_arguments;
 use crate::sql::asked::{Operators, asking};
 use crate::sql::associated::associated;
 use crate::sql::bounded::{BYTES_PER_BATCH_ROW, bound_functions};
+use crate::sql::compared::compare_values;
 use crate::sql::expanded::check_expanded;
 use crate::sql::floats::sound_floats;
 use crate::sql::inlined::check_inlined;
 use crate::sql::joined::joined;
-use crate::sql::lengths::compare_lengths;
+use crate::sql::lengths::measure_intervals;
 use crate::sql::literals::check_literals;
 use crate::sql::members::{Members, check_members, mask_members};
 use crate::sql::membership::three_valued;
@@ -238,7 +240,8 @@ fn context_of(
     mask_members(&context).or_fault()?;
     sound_floats(&context).or_fault()?;
     check_overflow(&context).or_fault()?;
-    compare_lengths(&context);
+    measure_intervals(&context).or_fault()?;
+    compare_values(&context);
     check_arguments(&context).or_fault()?;
     Ok(context)
 }

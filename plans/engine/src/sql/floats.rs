@@ -1,9 +1,8 @@
 //! Floating point numbers as Postgres has them: NaN is the greatest, -0.0 is 0.0, and what has left a window
-//! is forgotten. DataFusion compares bits in places, starts at the greatest finite number, and takes what leaves a window
+//! is forgotten. DataFusion starts at the greatest finite number, and takes what leaves a window
 //! from a sum that is NaN or infinite by then.
 
 mod aggregates;
-mod compared;
 mod decimals;
 mod order;
 mod percentile;
@@ -18,11 +17,11 @@ use datafusion::logical_expr::AggregateUDF;
 use datafusion::prelude::SessionContext;
 
 use crate::sql::floats::aggregates::{FloatAggregate, Of};
-use crate::sql::floats::compared::ComparedFloats;
 use crate::sql::floats::decimals::DoublesBesideDecimals;
 use crate::sql::floats::statistics::STATISTICS;
 use crate::sql::measures::Side;
 
+pub use order::order;
 pub use sums::FloatSum;
 
 /// Has a context compare floating point numbers, and tell those of groups and windows, as Postgres does.
@@ -40,7 +39,6 @@ pub fn sound_floats(context: &SessionContext) -> Result<()> {
         let inner = context.udaf(name)?;
         context.register_udaf(AggregateUDF::new_from_impl(FloatAggregate { inner, of }));
     }
-    context.add_analyzer_rule(Arc::new(ComparedFloats));
     let state = context.state_ref();
     let mut state = state.write();
     // Scans are told of the least and the greatest of columns so far, by their bits, and leave out what other aggregates

@@ -1,8 +1,8 @@
 //! Intervals are as long as Postgres and DuckDB have them: a month has 30 days, a day 24 hours. DataFusion compares months,
 //! then days, then nanoseconds: a month is longer than 40 days, 25 hours are shorter than a day, and so is any duration.
 //!
-//! Behind type coercion, where both sides of a comparison are intervals, their lengths are compared; rows are ordered by
-//! them, and the shortest and the longest interval found.
+//! Behind type coercion the shortest and the longest interval are found by their lengths. Before it, windows that range over
+//! intervals or durations range over lengths: DataFusion knows no ranges of them.
 
 mod extreme;
 mod length;
@@ -16,166 +16,166 @@ use arrow::datatypes::{
 };
 use datafusion::common::config::ConfigOptions;
 use datafusion::common::tree_node::Transformed;
-use datafusion::common::{DFSchema, Result, exec_err};
-use datafusion::logical_expr::expr::{Between, BinaryExpr, InList, ScalarFunction, Sort};
+use datafusion::common::{DFSchema, Result, ScalarValue, exec_err};
+use datafusion::execution::FunctionRegistry;
+use datafusion::logical_expr::expr::{ScalarFunction, WindowFunction};
 use datafusion::logical_expr::expr_rewriter::FunctionRewrite;
 use datafusion::logical_expr::{
-    ColumnarValue, Expr, ExprSchemable, LogicalPlan, ScalarFunctionArgs, ScalarUDF, ScalarUDFImpl,
-    Signature, Volatility, WindowFrameUnits, WindowFunctionDefinition,
+    ColumnarValue, Expr, ExprSchemable, ScalarFunctionArgs, ScalarUDF, ScalarUDFImpl, Signature,
+    Volatility, WindowFrameBound, WindowFrameUnits, WindowFunctionDefinition,
 };
-use datafusion::optimizer::AnalyzerRule;
 use datafusion::optimizer::analyzer::function_rewrite::ApplyFunctionRewrites;
 use datafusion::prelude::SessionContext;
+use evermap_schemas::Fault;
 
+use crate::error::external;
 use crate::sql::lengths::extreme::of_intervals;
 use crate::sql::lengths::length::length;
 
-pub use length::WHOLE;
+pub use extreme::shortest;
+pub use length::{WHOLE, order, plain};
 
-/// Has a context compare intervals by their lengths.
-pub fn compare_lengths(context: &SessionContext) {
-    let rule = ApplyFunctionRewrites::new(vec![Arc::new(ByLength)]);
+/// Has a context find the shortest and the longest interval, and range over intervals.
+///
+/// # Errors
+/// When the context takes no rules.
+pub fn measure_intervals(context: &SessionContext) -> Result<()> {
+    let rule = ApplyFunctionRewrites::new(vec![Arc::new(Extremes)]);
     context.add_analyzer_rule(Arc::new(rule));
-    context.add_analyzer_rule(Arc::new(ByLength));
+    let state = context.state_ref();
+    let mut state = state.write();
+    state.register_function_rewrite(Arc::new(Ranges))
 }
 
-/// Puts lengths in the place of intervals that are compared, or that something is ordered by.
+/// Puts functions of our own in the place of `min` and `max` of intervals.
 #[derive(Debug)]
-struct ByLength;
+struct Extremes;
 
-impl FunctionRewrite for ByLength {
+impl FunctionRewrite for Extremes {
     fn name(&self) -> &str {
-        "lengths_of_intervals"
+        "extremes_of_intervals"
     }
 
     fn rewrite(
         &self,
-        expr: Expr,
+        mut expr: Expr,
         schema: &DFSchema,
         _: &ConfigOptions,
     ) -> Result<Transformed<Expr>> {
-        Ok(match expr {
-            Expr::BinaryExpr(binary) => compared(binary, schema),
-            Expr::Between(between) if is_interval(&between.expr, schema) => {
-                let Between {
-                    expr,
-                    negated,
-                    low,
-                    high,
-                } = between;
-                let [expr, low, high] = [expr, low, high].map(|value| Box::new(length_of(*value)));
-                Transformed::yes(Expr::Between(Between {
-                    expr,
-                    negated,
-                    low,
-                    high,
-                }))
-            }
-            Expr::InList(found) if is_interval(&found.expr, schema) => {
-                let list = found.list.into_iter().map(length_of).collect();
-                let expr = Box::new(length_of(*found.expr));
-                let negated = found.negated;
-                Transformed::yes(Expr::InList(InList {
-                    expr,
-                    list,
-                    negated,
-                }))
-            }
-            Expr::Case(mut case) => {
-                let base = case.expr.take_if(|base| is_interval(base, schema));
-                let is_compared = base.is_some();
-                if let Some(base) = base {
-                    case.expr = Some(Box::new(length_of(*base)));
-                    let pairs = std::mem::take(&mut case.when_then_expr).into_iter();
-                    let pairs = pairs.map(|(when, then)| (Box::new(length_of(*when)), then));
-                    case.when_then_expr = pairs.collect();
+        let is_other = match &mut expr {
+            Expr::AggregateFunction(call) => {
+                let found = of_intervals(&call.func, &call.params.args, schema);
+                let is_other = found.is_some();
+                if let Some(func) = found {
+                    (call.func, call.params.distinct) = (func, false);
                 }
-                Transformed::new_transformed(Expr::Case(case), is_compared)
+                is_other
             }
-            Expr::AggregateFunction(mut call) => {
-                let mut is_other = order(&mut call.params.order_by, schema);
-                if let Some(func) = of_intervals(&call.func, &call.params.args, schema) {
-                    (call.func, is_other) = (func, true);
+            Expr::WindowFunction(call) => {
+                let found = match &call.fun {
+                    WindowFunctionDefinition::AggregateUDF(func) => {
+                        of_intervals(func, &call.params.args, schema)
+                    }
+                    _ => None,
+                };
+                let is_other = found.is_some();
+                if let Some(func) = found {
+                    call.fun = WindowFunctionDefinition::AggregateUDF(func);
                     call.params.distinct = false;
                 }
-                Transformed::new_transformed(Expr::AggregateFunction(call), is_other)
+                is_other
             }
-            Expr::WindowFunction(mut call) => {
-                // DataFusion has no ranges of intervals.
-                let is_range = call.params.window_frame.units == WindowFrameUnits::Range;
-                let mut is_other = !is_range && order(&mut call.params.order_by, schema);
-                if let WindowFunctionDefinition::AggregateUDF(func) = &call.fun
-                    && let Some(func) = of_intervals(func, &call.params.args, schema)
-                {
-                    (call.fun, is_other) = (WindowFunctionDefinition::AggregateUDF(func), true);
-                    call.params.distinct = false;
-                }
-                Transformed::new_transformed(Expr::WindowFunction(call), is_other)
-            }
-            other => Transformed::no(other),
-        })
+            _ => false,
+        };
+        Ok(Transformed::new_transformed(expr, is_other))
     }
 }
 
-impl AnalyzerRule for ByLength {
+/// Puts lengths in the place of intervals and durations that windows range over.
+#[derive(Debug)]
+struct Ranges;
+
+impl FunctionRewrite for Ranges {
     fn name(&self) -> &str {
-        "order_by_lengths_of_intervals"
+        "ranges_of_intervals"
     }
 
-    fn analyze(&self, plan: LogicalPlan, _: &ConfigOptions) -> Result<LogicalPlan> {
-        let ordered = plan.transform_up_with_subqueries(|node| {
-            Ok(match node {
-                LogicalPlan::Sort(mut sort) => {
-                    let is_other = order(&mut sort.expr, sort.input.schema());
-                    Transformed::new_transformed(LogicalPlan::Sort(sort), is_other)
-                }
-                other => Transformed::no(other),
-            })
-        });
-        ordered.map(|ordered| ordered.data)
+    fn rewrite(
+        &self,
+        mut expr: Expr,
+        schema: &DFSchema,
+        _: &ConfigOptions,
+    ) -> Result<Transformed<Expr>> {
+        let is_other = match &mut expr {
+            Expr::WindowFunction(call) => ranged(call, schema)?,
+            _ => false,
+        };
+        Ok(Transformed::new_transformed(expr, is_other))
     }
 }
 
-fn is_interval(expr: &Expr, schema: &DFSchema) -> bool {
-    matches!(expr.get_type(schema), Ok(DataType::Interval(_)))
-}
-
-/// A comparison of two intervals as one of their lengths.
-fn compared(binary: BinaryExpr, schema: &DFSchema) -> Transformed<Expr> {
-    let BinaryExpr { left, op, right } = binary;
-    let are_intervals =
-        op.supports_propagation() && is_interval(&left, schema) && is_interval(&right, schema);
-    let [left, right] = match are_intervals {
-        true => [left, right].map(|side| Box::new(length_of(*side))),
-        false => [left, right],
-    };
-    let binary = Expr::BinaryExpr(BinaryExpr { left, op, right });
-    Transformed::new_transformed(binary, are_intervals)
-}
-
-/// Orders by the lengths of intervals; whether there are any.
-fn order(by: &mut [Sort], schema: &DFSchema) -> bool {
+/// Whether a window is one of lengths now.
+fn ranged(call: &mut WindowFunction, schema: &DFSchema) -> Result<bool> {
+    let params = &mut call.params;
     let mut is_other = false;
-    for sort in by {
-        if is_interval(&sort.expr, schema) {
-            let interval = std::mem::take(&mut sort.expr);
-            (sort.expr, is_other) = (length_of(interval), true);
+    if params.window_frame.units == WindowFrameUnits::Range {
+        for sort in &mut params.order_by {
+            let kind = sort.expr.get_type(schema);
+            if matches!(kind, Ok(DataType::Interval(_) | DataType::Duration(_))) {
+                let interval = std::mem::take(&mut sort.expr);
+                (sort.expr, is_other) = (length_of(interval), true);
+            }
         }
     }
-    is_other
+    if is_other {
+        let frame = &mut params.window_frame;
+        for bound in [&mut frame.start_bound, &mut frame.end_bound] {
+            if let WindowFrameBound::Preceding(value) | WindowFrameBound::Following(value) = bound {
+                as_length(value)?;
+            }
+        }
+    }
+    Ok(is_other)
 }
 
+/// The text of an interval as that of its length; what has no bound has none.
+fn as_length(value: &mut ScalarValue) -> Result<()> {
+    let ScalarValue::Utf8(Some(text)) = value else {
+        return Ok(());
+    };
+    match ScalarValue::try_from_string(text.clone(), &WHOLE) {
+        Ok(ScalarValue::IntervalMonthDayNano(Some(interval))) => {
+            *text = length(interval).to_string();
+            Ok(())
+        }
+        _ => Err(external(
+            Fault::user(format!(
+                "expected an interval as a bound of RANGE, found {text}"
+            ))
+            .next("write INTERVAL '1 day' PRECEDING"),
+        )),
+    }
+}
+
+/// Whether a term is the length of an interval.
+pub fn is_length(expr: &Expr) -> bool {
+    matches!(expr, Expr::ScalarFunction(call) if call.func.name() == LENGTH)
+}
+
+/// What [`Length`] is called.
+const LENGTH: &str = "length_of_interval";
+
 fn length_of(interval: Expr) -> Expr {
-    static LENGTH: LazyLock<Arc<ScalarUDF>> = LazyLock::new(|| {
+    static FUNCTION: LazyLock<Arc<ScalarUDF>> = LazyLock::new(|| {
         Arc::new(ScalarUDF::new_from_impl(Length {
             signature: Signature::any(1, Volatility::Immutable),
         }))
     });
-    let length = Arc::clone(&LENGTH);
+    let length = Arc::clone(&FUNCTION);
     Expr::ScalarFunction(ScalarFunction::new_udf(length, vec![interval]))
 }
 
-/// [`length`] of each, as a number that has room for all of them.
+/// The length of each, as a number that has room for all of them.
 #[derive(Debug, PartialEq, Eq, Hash)]
 struct Length {
     signature: Signature,
@@ -183,7 +183,7 @@ struct Length {
 
 impl ScalarUDFImpl for Length {
     fn name(&self) -> &str {
-        "length_of_interval"
+        LENGTH
     }
 
     fn signature(&self) -> &Signature {

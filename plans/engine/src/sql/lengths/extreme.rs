@@ -4,6 +4,7 @@ use std::sync::{Arc, LazyLock};
 
 use arrow::datatypes::{DataType, IntervalMonthDayNanoType};
 use datafusion::common::{DFSchema, Result};
+use datafusion::logical_expr::expr::AggregateFunction;
 use datafusion::logical_expr::function::AccumulatorArgs;
 use datafusion::logical_expr::{
     Accumulator, AggregateUDF, AggregateUDFImpl, Expr, ExprSchemable, GroupsAccumulator, Signature,
@@ -41,6 +42,20 @@ pub fn of_intervals(
     };
     let found = interval.get_type(schema).ok();
     (found == Some(WHOLE)).then(|| Arc::clone(function))
+}
+
+/// The shortest interval of a group, and of those of one length the first by its parts.
+pub fn shortest(interval: Expr) -> Expr {
+    let function = Arc::clone(&SHORTEST);
+    let args = vec![interval];
+    Expr::AggregateFunction(AggregateFunction::new_udf(
+        function,
+        args,
+        false,
+        None,
+        Vec::new(),
+        None,
+    ))
 }
 
 #[derive(Debug, PartialEq, Eq, Hash)]

@@ -1,7 +1,9 @@
 #![allow(clippy::unwrap_used)]
+use arrow::datatypes::IntervalMonthDayNano;
 use arrow::util::display::array_value_to_string;
 
 use crate::error::OrFault;
+use crate::sql::lengths::length::{length, plain};
 use crate::sql::{Limits, context, read_only};
 
 /// Intervals whose order by months, days and nanoseconds is another one.
@@ -136,6 +138,26 @@ async fn the_shortest_and_the_longest_interval_are_found() {
             ),
         ] {
             assert_eq!(answer(partitions, query).await, expected, "{query}");
+        }
+    }
+}
+
+#[test]
+fn plain_intervals_are_as_long_and_ordered_by_their_parts() {
+    let mut intervals = Vec::new();
+    for months in [i32::MIN, -13, 0, 1, i32::MAX] {
+        for days in [i32::MIN, -31, 0, 30, i32::MAX] {
+            for nanoseconds in [i64::MIN, -1, 0, 86_400_000_000_000, i64::MAX] {
+                intervals.push(IntervalMonthDayNano::new(months, days, nanoseconds));
+            }
+        }
+    }
+    for left in &intervals {
+        assert_eq!(length(plain(*left)), length(*left), "{left:?}");
+        for right in &intervals {
+            let by_parts = plain(*left).cmp(&plain(*right));
+            let by_length = length(*left).cmp(&length(*right));
+            assert_eq!(by_parts, by_length, "{left:?}, {right:?}");
         }
     }
 }
