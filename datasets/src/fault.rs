@@ -9,7 +9,7 @@ use datafusion::error::DataFusionError;
 use datafusion::sql::sqlparser::parser::ParserError;
 use evermap_schemas::{Cell, Fault, Kind, Pose, type_name};
 
-use crate::fault::unplanned::unplanned;
+use crate::fault::unplanned::{unfound, unplanned};
 
 pub use crate::fault::objects::{changed, store_fault, with_credentials};
 
@@ -31,6 +31,11 @@ pub fn fault_of(error: &DataFusionError) -> Fault {
     let root = error.find_root();
     if let Some(fault) = Fault::parse(&root.to_string()) {
         return fault;
+    }
+    if let DataFusionError::SchemaError(error, _) = root
+        && let Some((said, next)) = unfound(error, place.is_some())
+    {
+        return at(Fault::user(said).next(next), place);
     }
     let (kind, message) = match root {
         DataFusionError::ResourcesExhausted(message) => (Kind::Resource, message.clone()),
@@ -74,6 +79,7 @@ pub fn fault_of(error: &DataFusionError) -> Fault {
         () if is_other_as_of(message) => fault.next(AS_OF),
         () if message.starts_with(NOT_ALIKE) && message.contains("time") => fault.next(INSTANT),
         () if message.starts_with(NO_INSTANT) => fault.next(INSTANT),
+        () if message.ends_with(TOO_DEEP) => fault.next(NESTED),
         () => fault,
     };
     at(fault, place)
@@ -120,9 +126,15 @@ const PARSER_AT: &str = " at Line: ";
 fn parser_text(error: &ParserError) -> &str {
     match error {
         ParserError::TokenizerError(text) | ParserError::ParserError(text) => text,
-        ParserError::RecursionLimitExceeded => "the query is nested too deep",
+        ParserError::RecursionLimitExceeded => TOO_DEEP,
     }
 }
+
+/// That the parser goes no deeper: by 50 levels, of which two are taken by what follows an `IS DISTINCT FROM`.
+const TOO_DEEP: &str = "the query is nested too deep";
+
+/// What may be written instead.
+const NESTED: &str = "put each IS DISTINCT FROM into parentheses, (a IS DISTINCT FROM b) OR …, and name queries within others: WITH a AS (SELECT …)";
 
 /// How DataFusion says that a function does not take such arguments.
 const NO_SIGNATURE: &str = " failed to match any signature";

@@ -1,5 +1,7 @@
 //! What DataFusion does not plan where it stands, as people call it. It prints its own structures.
 
+use datafusion::common::SchemaError;
+
 /// What no query may have where it stands, and what is written instead.
 pub fn unplanned(message: &str) -> Option<(String, &'static str)> {
     let around = "expected a subquery without columns of the query around it, as this place has none for them";
@@ -42,6 +44,32 @@ pub fn unplanned(message: &str) -> Option<(String, &'static str)> {
     Some((format!("not supported: {}", node.to_uppercase()), next))
 }
 
+/// What a column is called that several tables have; or a subquery that DataFusion does not take apart and whose columns have
+/// other names than in its table: it finds none of these then, in a place that no query says.
+pub fn unfound(error: &SchemaError, has_place: bool) -> Option<(String, &'static str)> {
+    match error {
+        SchemaError::AmbiguousReference { field } => Some((
+            format!("expected the table of {}, found it in several", field.name),
+            "write its name in front, a.k; behind several USING, which are two at most of one column, that of the first table",
+        )),
+        SchemaError::FieldNotFound {
+            field,
+            valid_fields,
+        } => {
+            let is_taken_apart = field.relation.is_some() && valid_fields.is_empty() && !has_place;
+            is_taken_apart.then(by_another)
+        }
+        _ => None,
+    }
+}
+
+fn by_another() -> (String, &'static str) {
+    (
+        "expected a subquery in SELECT or WHERE that compares columns of the query around it by =, found another".to_owned(),
+        "compute it in a query within, FROM (SELECT *, (SELECT …) AS x FROM …), or write it as a join",
+    )
+}
+
 /// A subquery where there is none.
 fn subquery(message: &str) -> Option<(String, &'static str)> {
     if message.contains("Correlated scalar subquery must be aggregated")
@@ -61,10 +89,7 @@ fn subquery(message: &str) -> Option<(String, &'static str)> {
         "logical expression Exists(",
     ];
     if others.iter().any(|said| message.contains(said)) {
-        return Some((
-            "expected a subquery in SELECT or WHERE that compares columns of the query around it by =, found another".to_owned(),
-            "compute it in a query within, FROM (SELECT *, (SELECT …) AS x FROM …), or write it as a join",
-        ));
+        return Some(by_another());
     }
     if message.contains("logical expression SetComparison(") {
         return Some((

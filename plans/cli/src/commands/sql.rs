@@ -17,6 +17,7 @@ use datafusion::prelude::{DataFrame, SessionContext};
 use datafusion::sql::parser::{DFParserBuilder, Statement};
 use datafusion::sql::sqlparser::ast;
 use datafusion::sql::sqlparser::dialect::GenericDialect;
+use datafusion::sql::sqlparser::parser::ParserError;
 use evermap_datasets::{Dataset, without_mark};
 use evermap_engine::error::{OrFault, fault_of};
 use evermap_engine::map::Map;
@@ -334,7 +335,9 @@ pub fn statements(text: &str) -> Result<Vec<Statement>, Fault> {
         .build()
         .and_then(|mut parser| parser.parse_statements());
     let parsed = parsed.map_err(|error| match (fault_of(&error), error.find_root()) {
-        (told, DataFusionError::SQL(error, _)) => {
+        (told, DataFusionError::SQL(error, _))
+            if !matches!(**error, ParserError::RecursionLimitExceeded) =>
+        {
             let text = error.to_string();
             let fault = Fault::user(text.trim_start_matches("sql parser error: "));
             match () {

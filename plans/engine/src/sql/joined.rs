@@ -221,6 +221,7 @@ mod tests {
     #![allow(clippy::unwrap_used)]
     use arrow::util::display::array_value_to_string;
 
+    use crate::error::OrFault;
     use crate::sql::{Limits, context, read_only};
 
     /// `a` and `z` both have the key 2.
@@ -293,6 +294,31 @@ mod tests {
             let found = asked(query).await;
             assert_eq!(found, (names.to_owned(), rows.to_owned()), "{query}");
         }
+    }
+
+    #[tokio::test]
+    async fn what_is_written_for_columns_that_several_tables_have_is_told() {
+        let context = context(Limits::one_partition()).unwrap();
+        let chain = "FROM a JOIN z USING (g) JOIN (VALUES (2, 5)) AS b (g, u) USING (g)";
+        let query = format!("{TABLES} SELECT g {chain}");
+        let fault = read_only(&context, &query).await.err().unwrap().to_string();
+        let said = "user: expected the table of g, found it in several (at line 1, column ";
+        assert!(fault.contains(said), "{fault}");
+        assert!(
+            fault.contains("; write its name in front, a.k; behind several USING"),
+            "{fault}"
+        );
+        let found = asked(&format!("SELECT a.g, u {chain}")).await;
+        assert_eq!(found, ("g,u".to_owned(), "2,5".to_owned()));
+        // Columns of the subquery have other names than in its table.
+        let query = "SELECT v, (SELECT count(*) FROM z WHERE z.w > a.v) FROM a";
+        let frame = read_only(&context, &format!("{TABLES} {query}")).await;
+        let fault = frame.unwrap().create_physical_plan().await.or_fault();
+        let fault = fault.err().unwrap().to_string();
+        assert!(
+            fault.contains("that compares columns of the query around it by =, found another"),
+            "{fault}"
+        );
     }
 
     #[tokio::test]

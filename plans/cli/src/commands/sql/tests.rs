@@ -13,6 +13,16 @@ fn a_column_that_is_a_word_of_sql_is_explained() {
 }
 
 #[test]
+fn how_a_query_that_is_nested_too_deep_is_written_is_told() {
+    let query = |term: &str| format!("SELECT 1 FROM t WHERE {}", vec![term; 100].join(" OR "));
+    let fault = statements(&query("a IS DISTINCT FROM b")).unwrap_err();
+    let said =
+        "nested too deep; put each IS DISTINCT FROM into parentheses, (a IS DISTINCT FROM b) OR …";
+    assert!(fault.to_string().contains(said), "{fault}");
+    assert!(statements(&query("(a IS DISTINCT FROM b)")).is_ok());
+}
+
+#[test]
 fn semicolons_in_quotes_and_comments_end_nothing() {
     let text = "SELECT ';' AS a; -- ; no\nSELECT \"b;\" FROM \"/odom\" /* ; */;";
     assert_eq!(statements(text).unwrap().len(), 2);
