@@ -37,7 +37,7 @@ impl VisitorMut for Associated {
 }
 
 /// What stands in a place for a moment.
-fn nothing() -> Expr {
+pub fn nothing() -> Expr {
     Expr::Value(Value::Null.into())
 }
 
