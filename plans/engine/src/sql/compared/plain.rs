@@ -136,12 +136,6 @@ impl ScalarUDFImpl for Compared {
         COMPARED
     }
 
-    /// As that of what is compared: a column of a query is called by it.
-    fn schema_name(&self, args: &[Expr]) -> Result<String> {
-        let names = args.iter().map(|arg| arg.schema_name().to_string());
-        Ok(names.collect())
-    }
-
     fn signature(&self) -> &Signature {
         &self.signature
     }
