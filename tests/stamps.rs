@@ -11,19 +11,32 @@ use serde_json::{Value, json};
 /// The log time of the first message, ns; the others follow a second apart.
 const LOGGED: u64 = 1_700_000_000_000_000_000;
 
+fn object(members: Value) -> Value {
+    json!({"type": "object", "properties": members})
+}
+
+/// The type of a header whose stamp has members that are called so.
+fn header([seconds, nanoseconds]: [&str; 2]) -> Value {
+    let stamp = object(json!({seconds: {"type": "integer"}, nanoseconds: {"type": "integer"}}));
+    object(json!({"stamp": stamp, "frame_id": {"type": "string"}}))
+}
+
 /// Writes a log of odometry whose messages have these stamps, of members that are called so.
-fn write(path: &Path, [seconds, nanoseconds]: [&str; 2], stamps: &[Value]) {
-    let object = |members: Value| json!({"type": "object", "properties": members});
-    let (number, integer) = (json!({"type": "number"}), json!({"type": "integer"}));
+fn write(path: &Path, parts: [&str; 2], stamps: &[Value]) {
+    let mut log = JsonLog::new(path);
+    write_odometry(&mut log, parts, stamps);
+    log.finish();
+}
+
+fn write_odometry(log: &mut JsonLog, parts: [&str; 2], stamps: &[Value]) {
+    let number = json!({"type": "number"});
     let position = object(json!({"x": number, "y": number, "z": number}));
     let orientation = object(json!({"x": number, "y": number, "z": number, "w": number}));
     let pose = object(json!({"position": position, "orientation": orientation}));
-    let stamp = object(json!({seconds: integer, nanoseconds: integer}));
     let members = json!({
-        "header": object(json!({"stamp": stamp, "frame_id": {"type": "string"}})),
+        "header": header(parts),
         "pose": object(json!({"pose": pose})),
     });
-    let mut log = JsonLog::new(path);
     let odometry = log.topic_of("/odom", "nav_msgs/Odometry", &members);
     for (second, stamp) in (0_u64..).zip(stamps) {
         let position = json!({"x": second as f64, "y": 0.0, "z": 0.0});
@@ -34,7 +47,38 @@ fn write(path: &Path, [seconds, nanoseconds]: [&str; 2], stamps: &[Value]) {
         });
         log.send(odometry, 0, LOGGED + second * 1_000_000_000, &message);
     }
-    log.finish();
+}
+
+/// GPS time is 18 s ahead of the clock that odometry has.
+#[test]
+fn a_clock_that_differs_from_that_of_odometry_is_told() {
+    let folder = tempfile::tempdir().unwrap();
+    let log = folder.path().join("log.mcap");
+    let parts = ["sec", "nanosec"];
+    let said = |ahead: u64| {
+        let stamp = |sec: u64| json!({"sec": LOGGED / 1_000_000_000 + sec, "nanosec": 0});
+        let stamps: Vec<Value> = (0..20).map(stamp).collect();
+        let mut written = JsonLog::new(&log);
+        write_odometry(&mut written, parts, &stamps);
+        let number = json!({"type": "number"});
+        let members = json!({
+            "header": header(parts), "status": object(json!({"status": number})),
+            "latitude": number, "longitude": number, "altitude": number,
+        });
+        let fixes = written.topic_of("/fix", "sensor_msgs/NavSatFix", &members);
+        for sec in 0..20 {
+            let header = json!({"stamp": stamp(sec + ahead), "frame_id": "gps"});
+            let message = json!({"header": header, "status": {"status": 0}, "latitude": 48.0, "longitude": 9.0, "altitude": 0.0});
+            written.send(fixes, 0, LOGGED + sec * 1_000_000_000 + 200_000_000, &message);
+        }
+        written.finish();
+        evermap(&["inspect", text(&log)]).expect(0).stdout
+    };
+    let told = "expected stamps of one clock, found those of /fix ";
+    let inspected = said(18);
+    let whole = format!("{told}17.8 s ahead of those of /odom by when messages were logged");
+    assert!(inspected.contains(&whole), "{inspected}");
+    assert!(!said(0).contains(told));
 }
 
 /// The stamps of odometry, ns, in the order of its path.

@@ -16,7 +16,7 @@ use crate::losses::{Loss, LossLedger, Reason};
 use crate::manifest::{BITS, Bits, Manifest, ROLES, Roles, TopicBits, Vehicle, of_role};
 use crate::recordings::{Recording, Recordings};
 use crate::roles::vehicle::OfVehicle;
-use crate::roles::{robots, vehicle};
+use crate::roles::{delays, robots, vehicle};
 use crate::scan::{LazyTable, LogTable, McapTable, MessagesTable, RecordTable, TopicTable};
 use crate::session::{LogPart, Session};
 use crate::{listing, roles};
@@ -94,6 +94,12 @@ impl Dataset {
             mounts.extend(roles::camera_mounts(session).await?);
         }
         Ok(mounts)
+    }
+
+    /// How long after their stamps the first messages of each topic of a role were logged, at the median (ns). None of a topic
+    /// whose messages have no stamps, or cannot be read.
+    pub async fn delays(session: &Session, role: &str) -> Vec<(String, i64)> {
+        delays::of(session, role).await
     }
 
     /// The roles that a session plays with transforms which move no vehicle, so that nothing comes of them, and why, with what

@@ -7,6 +7,7 @@
 
 mod ahead;
 mod cameras;
+pub(crate) mod delays;
 mod mounts;
 pub(crate) mod robots;
 mod rows;

@@ -12,6 +12,7 @@
 
 mod cameras;
 mod content;
+mod delays;
 pub mod frame_names;
 mod message;
 mod mounts;
@@ -23,6 +24,7 @@ mod stereo;
 mod still;
 
 pub use cameras::CameraNames;
+pub use delays::{DELAYS, Delay};
 pub use message::{FARTHEST_M, Fields, FoundImage, FromMessage, Message, Read};
 pub use mounts::Mount;
 pub use raw_format::{BIG_ENDIAN, RawFormat, SampleBits};

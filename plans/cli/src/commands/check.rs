@@ -21,7 +21,7 @@ use crate::progress::line;
 use crate::quantity::of;
 use crate::sessions::{lost, open};
 use crate::shipped;
-use crate::{camera_frames, fixes, masks, odometry_frame, operators, pictures};
+use crate::{camera_frames, clocks, fixes, masks, odometry_frame, operators, pictures};
 
 /// Checks a plan.
 ///
@@ -53,7 +53,15 @@ pub async fn check(args: &PlanArgs) -> Ending {
         false => Vec::new(),
     };
     let of_fixes = fixes::notes(&dataset, &program).await?;
-    let notes = [of_odometry, unmoved, of_cameras, of_pictures, of_fixes];
+    let of_clocks = clocks::notes(&dataset, |role| program.reads_source(role)).await;
+    let notes = [
+        of_odometry,
+        unmoved,
+        of_clocks,
+        of_cameras,
+        of_pictures,
+        of_fixes,
+    ];
     for note in notes.iter().flatten() {
         line(&format!("note: {note}"));
     }

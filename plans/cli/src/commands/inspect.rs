@@ -27,7 +27,7 @@ use crate::printable::printable;
 use crate::quantity::of;
 use crate::sessions::{lost, told};
 use crate::shipped;
-use crate::{camera_frames, odometry_frame, operators, pictures};
+use crate::{camera_frames, clocks, odometry_frame, operators, pictures};
 
 /// Says what a file holds, or writes a manifest of several. Every chunk is read, so that damage is found, unless only the index is asked for. Memory
 /// does not grow with the file.
@@ -71,17 +71,19 @@ pub async fn inspect(args: &InspectArgs) -> Ending {
         }
         None => Vec::new(),
     };
-    let ((unmoved, of_motions), of_pictures) = match args.quick {
+    let ((unmoved, of_motions), of_clocks, of_pictures) = match args.quick {
         true => Default::default(),
         false => (
             odometry_frame::unmoved(&dataset).await,
+            clocks::notes(&dataset, |_| true).await,
             pictures::notes(&dataset).await?,
         ),
     };
     let unchecked = (!args.quick).then(|| unchecked(&read)).flatten();
     let of_topics = dataset.notes.iter().cloned();
     let notes = unchecked.into_iter().chain(of_topics).chain(notes);
-    let notes = notes.chain(of_motions).chain(of_pictures).collect();
+    let notes = notes.chain([of_motions, of_clocks, of_pictures].concat());
+    let notes = notes.collect();
     let unmounted = frames
         .as_ref()
         .is_some_and(CoordinateFrames::no_camera_is_mounted);

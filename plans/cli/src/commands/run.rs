@@ -26,7 +26,7 @@ use crate::output::Format;
 use crate::progress::{Progress, line};
 use crate::quantity::{of, of_seconds};
 use crate::sessions;
-use crate::{fixes, masks, odometry_frame, operators};
+use crate::{clocks, fixes, masks, odometry_frame, operators};
 
 /// Runs a plan.
 ///
@@ -56,7 +56,9 @@ pub async fn run(args: &RunArgs, unfinished: &Unfinished) -> Ending {
     let vehicle = odometry_frame::vehicle(&prepared.program);
     let of_odometry = odometry_frame::notes(&prepared.logs, vehicle).await?;
     let of_fixes = fixes::notes(&prepared.logs, &prepared.program).await?;
-    for note in of_odometry.iter().chain(&of_fixes) {
+    let program = &prepared.program;
+    let of_clocks = clocks::notes(&prepared.logs, |role| program.reads_source(role)).await;
+    for note in [of_odometry, of_clocks, of_fixes].iter().flatten() {
         line(&format!("note: {note}"));
     }
     prepared.unplayed.notes().iter().for_each(|note| line(note));
