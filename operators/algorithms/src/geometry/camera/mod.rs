@@ -167,6 +167,6 @@ impl Camera {
     }
 
     fn sees_angle(&self, ray: &Vector3<f64>) -> bool {
-        self.max_angle_rad >= PI || ray.x.hypot(ray.y).atan2(ray.z) <= self.max_angle_rad
+        self.max_angle_rad >= PI || ray.z >= ray.norm() * self.max_angle_rad.cos()
     }
 }

@@ -118,13 +118,13 @@ impl Search<'_> {
         let arc = Arc::new(self.b_from_a, &ray, tracker.params.min_depth_m);
         // Odometry's error across its way turns the arc about its far end.
         let way_rad = tracker.params.way_sigma * arc.length_rad();
-        let other = self.turn_sigma_rad.hypot(way_rad).hypot(sigma);
+        let other = self.turn_sigma_rad.powi(2) + way_rad.powi(2) + sigma.powi(2);
+        let within = |sigma: f64| SIGMAS * (other + sigma * sigma).sqrt();
         let accept = |to: u32| {
-            self.b
-                .ray(to)
-                .is_some_and(|(ray, sigma)| arc.is_within(&ray, SIGMAS * other.hypot(sigma)))
+            let found = self.b.ray(to);
+            found.is_some_and(|(ray, sigma)| arc.is_within(&ray, within(sigma)))
         };
-        let widest = SIGMAS * other.hypot(self.b.widest_rad());
+        let widest = within(self.b.widest_rad());
         let (pixel, radius_px) = self.circle(&arc, widest)?;
         let descriptor = &self.a.features.features.get(from as usize)?.descriptor;
         let found = self.b.index.nearest(pixel, radius_px, descriptor, accept)?;
