@@ -52,12 +52,8 @@ pub fn unfound(error: &SchemaError, has_place: bool) -> Option<(String, &'static
             format!("expected the table of {}, found it in several", field.name),
             "write its name in front, a.k; behind several USING, which are two at most of one column, that of the first table",
         )),
-        SchemaError::FieldNotFound {
-            field,
-            valid_fields,
-        } => {
-            let is_taken_apart = field.relation.is_some() && valid_fields.is_empty() && !has_place;
-            is_taken_apart.then(by_another)
+        SchemaError::FieldNotFound { field, .. } => {
+            (field.relation.is_some() && !has_place).then(by_another)
         }
         _ => None,
     }
