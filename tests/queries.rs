@@ -391,10 +391,10 @@ fn queries_compare_several_maps() {
     };
     let joined = "SELECT count(*) AS n FROM poses JOIN other.poses AS o ON poses.session = o.session AND poses.stamp = o.stamp";
     let both = [text(&map), text(&other)];
-    assert_eq!(ask(&both, joined).expect(0).stdout, "n\n300\n");
+    assert_eq!(ask(&both, joined).expect(0).stdout, "n\n301\n");
     for (query, n) in [
-        ("SELECT count(*) AS n FROM second.poses", "300"),
-        ("SELECT count(*) AS n FROM second.v1.poses", "300"),
+        ("SELECT count(*) AS n FROM second.poses", "301"),
+        ("SELECT count(*) AS n FROM second.v1.poses", "301"),
         ("SELECT count(*) > 0 AS n FROM second.a.\"/odom\"", "true"),
         ("SELECT max(version) AS n FROM second.versions", "1"),
     ] {
