@@ -127,7 +127,7 @@ fn before_the_first_version_all_is_new_and_previous_is_empty() {
     let world = World::new();
     let a = world.drive("a", 20.0);
     world.run(&[&a]);
-    assert_eq!(world.new_sessions(), json!([{ "session": "a", "n": 300 }]));
+    assert_eq!(world.new_sessions(), json!([{ "session": "a", "n": 301 }]));
     assert_eq!(world.query("SELECT * FROM known"), json!([]));
     assert_eq!(world.query("SELECT * FROM old_crossings"), json!([]));
 }
@@ -139,10 +139,10 @@ fn a_session_that_joins_is_new_and_the_others_are_known() {
     world.run(&[&a]);
     let forecast = world.explain(&[&b]);
     world.run(&[&b]);
-    assert_eq!(world.new_sessions(), json!([{ "session": "b", "n": 400 }]));
+    assert_eq!(world.new_sessions(), json!([{ "session": "b", "n": 401 }]));
     assert_eq!(
         world.query("SELECT * FROM known"),
-        json!([{ "site": "lot", "keyframes": 300 }])
+        json!([{ "site": "lot", "keyframes": 301 }])
     );
     // What only the new session concerns is done for it alone.
     assert_eq!(world.computed(2, "keyframes"), json!([{ "of": "b" }]));
@@ -174,7 +174,7 @@ fn what_is_done_once_is_kept_until_something_of_its_own_changes() {
     world.run(&[&a]);
     world.run(&[&b]);
     world.run(&[&c]);
-    let [a_rows, b_rows, c_rows] = [("a", 300), ("b", 400), ("c", 500)]
+    let [a_rows, b_rows, c_rows] = [("a", 301), ("b", 401), ("c", 501)]
         .map(|(session, n)| json!({ "session": session, "n": n }));
     assert_eq!(joined(), json!([a_rows, b_rows, c_rows]));
     for (version, session) in [(1, "a"), (2, "b"), (3, "c")] {
@@ -189,7 +189,7 @@ fn what_is_done_once_is_kept_until_something_of_its_own_changes() {
     assert_eq!(world.computed(4, "joined"), json!([{ "of": "b" }]));
     assert_eq!(
         joined(),
-        json!([a_rows, { "session": "b", "n": 300 }, c_rows])
+        json!([a_rows, { "session": "b", "n": 301 }, c_rows])
     );
     // So has what it does: now all are known.
     let other = PLAN.replace("AS after", "AS before_it");
@@ -208,13 +208,13 @@ fn a_step_of_a_site_reads_new_sessions_alone() {
         world.drive("c", 40.0),
     );
     world.run(&[&a]);
-    assert_eq!(keyframes(), json!([{ "keyframes": 300 }]));
+    assert_eq!(keyframes(), json!([{ "keyframes": 301 }]));
     world.run(&[&b, &c]);
-    assert_eq!(keyframes(), json!([{ "keyframes": 900 }]));
+    assert_eq!(keyframes(), json!([{ "keyframes": 902 }]));
     // A log that was replaced is that of a new session.
     let b = world.drive("b", 20.0);
     world.run(&[&b]);
-    assert_eq!(keyframes(), json!([{ "keyframes": 300 }]));
+    assert_eq!(keyframes(), json!([{ "keyframes": 301 }]));
     let other = PLAN.replace("AS after", "AS later");
     std::fs::write(world.path("growth.yaml"), other).unwrap();
     world.run(&[&a]);
@@ -265,7 +265,7 @@ fn a_session_without_rows_computes_nothing_of_its_site() {
     let kept = || world.query("SELECT keyframes FROM new_keyframes");
     world.run(&[&a]);
     world.run(&[&b]);
-    assert_eq!(kept(), json!([{ "keyframes": 400 }]));
+    assert_eq!(kept(), json!([{ "keyframes": 401 }]));
     let ada = silent(&world, "ada");
     // Nothing comes out of it, which is counted.
     world.ended(&[&ada], 3);
@@ -273,7 +273,7 @@ fn a_session_without_rows_computes_nothing_of_its_site() {
     for step in ["lanes", "new_keyframes"] {
         assert_eq!(world.computed(3, step), json!([]), "{step}");
     }
-    assert_eq!(kept(), json!([{ "keyframes": 400 }]));
+    assert_eq!(kept(), json!([{ "keyframes": 401 }]));
     // What reads the version before without `once` reads the newest.
     assert_eq!(world.computed(3, "new_lanes"), json!([{ "of": "lot" }]));
     // A drive that is gone is not kept by what was done once.
@@ -325,7 +325,7 @@ fn a_run_without_news_means_the_same_previous_and_changes_nothing() {
             told.stderr
         );
         assert_eq!(world.versions(), 2);
-        assert_eq!(world.new_sessions(), json!([{ "session": "b", "n": 400 }]));
+        assert_eq!(world.new_sessions(), json!([{ "session": "b", "n": 401 }]));
     }
     // Not even when the version before has been forgotten.
     evermap(&["gc", "--map", text(&world.path("map")), "--keep", "1"]).expect(0);
@@ -393,7 +393,7 @@ fn a_map_of_another_format_is_read_and_made_anew_with_the_same_previous() {
     let lanes = world.query("SELECT lane, length_m FROM lanes ORDER BY lane");
     of_another_format(&world.path("map"));
     evermap(&["verify", "--map", text(&world.path("map"))]).expect(0);
-    assert_eq!(world.new_sessions(), json!([{ "session": "b", "n": 400 }]));
+    assert_eq!(world.new_sessions(), json!([{ "session": "b", "n": 401 }]));
     for unit in world.explain(&[&b]) {
         let why = "it was made by an evermap whose files have another format";
         assert_eq!(
@@ -405,10 +405,10 @@ fn a_map_of_another_format_is_read_and_made_anew_with_the_same_previous() {
     world.run(&[&b]);
     assert_eq!(world.versions(), 3);
     // It is the run of b still.
-    assert_eq!(world.new_sessions(), json!([{ "session": "b", "n": 400 }]));
+    assert_eq!(world.new_sessions(), json!([{ "session": "b", "n": 401 }]));
     assert_eq!(
         world.query("SELECT * FROM known"),
-        json!([{ "site": "lot", "keyframes": 300 }])
+        json!([{ "site": "lot", "keyframes": 301 }])
     );
     assert_eq!(
         world.query("SELECT lane, length_m FROM lanes ORDER BY lane"),
@@ -416,7 +416,7 @@ fn a_map_of_another_format_is_read_and_made_anew_with_the_same_previous() {
     );
     assert_eq!(
         world.query("SELECT count(*) AS n FROM v1.keyframes"),
-        json!([{ "n": 300 }])
+        json!([{ "n": 301 }])
     );
     let told = world.run(&[&b]);
     assert!(
@@ -427,7 +427,7 @@ fn a_map_of_another_format_is_read_and_made_anew_with_the_same_previous() {
     // A drive that comes builds on what there is.
     let c = world.drive("c", 40.0);
     world.run(&[&c]);
-    assert_eq!(world.new_sessions(), json!([{ "session": "c", "n": 500 }]));
+    assert_eq!(world.new_sessions(), json!([{ "session": "c", "n": 501 }]));
 }
 
 #[test]
@@ -442,7 +442,7 @@ fn a_log_that_lies_elsewhere_now_is_the_same_log() {
     for _ in 0..2 {
         let told = world.run(&[&moved]);
         assert!(told.stderr.contains("0 units computed"), "{}", told.stderr);
-        assert_eq!(world.new_sessions(), json!([{ "session": "b", "n": 400 }]));
+        assert_eq!(world.new_sessions(), json!([{ "session": "b", "n": 401 }]));
     }
     assert_eq!(world.versions(), 3, "the place of the log is noted, once");
 }
@@ -461,10 +461,10 @@ fn a_replaced_log_is_a_new_session_and_its_old_rows_are_not_read() {
     assert_eq!(of("keyframes of a")["recompute"], false);
     assert_eq!(of("keyframes of b")["why"], "the log of b has changed");
     world.run(&[&b]);
-    assert_eq!(world.new_sessions(), json!([{ "session": "b", "n": 500 }]));
+    assert_eq!(world.new_sessions(), json!([{ "session": "b", "n": 501 }]));
     assert_eq!(
         world.query("SELECT * FROM known"),
-        json!([{ "site": "lot", "keyframes": 300 }])
+        json!([{ "site": "lot", "keyframes": 301 }])
     );
     let told = world.run(&[&b]);
     assert!(
