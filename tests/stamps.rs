@@ -69,7 +69,12 @@ fn a_clock_that_differs_from_that_of_odometry_is_told() {
         for sec in 0..20 {
             let header = json!({"stamp": stamp(sec + ahead), "frame_id": "gps"});
             let message = json!({"header": header, "status": {"status": 0}, "latitude": 48.0, "longitude": 9.0, "altitude": 0.0});
-            written.send(fixes, 0, LOGGED + sec * 1_000_000_000 + 200_000_000, &message);
+            written.send(
+                fixes,
+                0,
+                LOGGED + sec * 1_000_000_000 + 200_000_000,
+                &message,
+            );
         }
         written.finish();
         evermap(&["inspect", text(&log)]).expect(0).stdout
