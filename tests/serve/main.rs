@@ -238,12 +238,12 @@ fn files_that_are_replaced_while_a_version_is_open_are_noticed() {
         (head[..12].to_owned(), body.to_owned())
     };
     let lanes = "SELECT count(*) AS n, sum(length_m) AS all_m FROM lanes";
-    // What was just looked at is believed for a while.
-    let noticed = |before: &(String, String)| {
+    // What was just looked at is believed for a while: until then Parquet may be what stumbles over it.
+    let noticed = |is_meant: &dyn Fn(&(String, String)) -> bool| {
         let end = std::time::Instant::now() + std::time::Duration::from_secs(60);
         loop {
             let answer = answer(lanes);
-            if answer != *before || std::time::Instant::now() > end {
+            if is_meant(&answer) || std::time::Instant::now() > end {
                 return answer;
             }
             std::thread::sleep(std::time::Duration::from_millis(100));
@@ -259,11 +259,11 @@ fn files_that_are_replaced_while_a_version_is_open_are_noticed() {
     let mut other = whole.clone();
     other[whole.len() / 2] ^= 0x7f;
     std::fs::write(&path, other).unwrap();
-    let refused = noticed(&first);
+    let refused = noticed(&|answer| answer.1.contains("expected the digest"));
     assert_eq!(refused.0, "HTTP/1.1 422", "{refused:?}");
     assert!(refused.1.contains("expected the digest"), "{refused:?}");
     std::fs::write(&path, whole).unwrap();
-    assert_eq!(noticed(&refused), first);
+    assert_eq!(noticed(&|answer| *answer != refused), first);
 
     let messages = |day: &str| answer(&format!("SELECT count(*) AS n FROM {day}.messages"));
     let (monday, tuesday) = (messages("monday"), messages("tuesday"));
