@@ -135,8 +135,9 @@ fn closed(mut corners: Vec<[f64; 3]>) -> Result<(&'static str, Outline), &'stati
     if crossing(&corners).is_some() {
         return Err("polygon that crosses itself");
     }
-    let from_above: Vec<[f64; 2]> = corners.iter().map(|[x, y, _]| [*x, *y]).collect();
-    if area(&from_above) < LEAST_M2 {
+    // From the first one, as products of large coordinates are rounded.
+    let from_first = |[x, y, _]: &[f64; 3]| [x - corners[0][0], y - corners[0][1]];
+    if area(&corners.iter().map(from_first).collect::<Vec<_>>()) < LEAST_M2 {
         return Err("polygon of no area: its corners lie on one line, or on one another");
     }
     Ok(match shapes::oriented_box(&corners) {

@@ -141,11 +141,10 @@ fn clipped(polygon: &[[f64; 2]], inside: impl Fn(&[f64; 2]) -> f64) -> Vec<[f64;
 
 /// The area that a polygon encloses: in m² where its corners are in metres.
 pub fn area(polygon: &[[f64; 2]]) -> f64 {
-    let Some([x, y]) = polygon.first() else {
-        return 0.0;
-    };
     let next = polygon.iter().cycle().skip(1);
-    // From the first corner, as products of large coordinates are rounded.
-    let across = |(a, b): (&[f64; 2], &[f64; 2])| (a[0] - x) * (b[1] - y) - (b[0] - x) * (a[1] - y);
-    0.5 * polygon.iter().zip(next).map(across).sum::<f64>().abs()
+    let twice = polygon
+        .iter()
+        .zip(next)
+        .map(|(a, b)| a[0] * b[1] - a[1] * b[0]);
+    0.5 * twice.sum::<f64>().abs()
 }

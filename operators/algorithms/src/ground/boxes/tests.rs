@@ -20,17 +20,6 @@ use crate::solving::median::median;
 use crate::solving::random::SplitMix64;
 use evermap_test_data::shared;
 
-#[test]
-fn the_area_of_corners_is_the_same_far_away() {
-    for away in [0.0, 5e6] {
-        let corners = [[0.0, 0.0], [5.0, 0.0], [5.0, 2.0], [0.0, 2.0]];
-        let corners = corners.map(|[x, y]: [f64; 2]| [x + away, y - away]);
-        assert!((super::area(&corners) - 10.0).abs() < 1e-6);
-    }
-    assert_eq!(super::area(&[[0.0, 0.0], [1.0, 1.0], [3.0, 3.0]]), 0.0);
-    assert_eq!(super::area(&[]), 0.0);
-}
-
 /// Side of a cell of all floors here (m).
 const CELL_M: f64 = 0.05;
 
