@@ -18,7 +18,7 @@ pub mod turned;
 use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output, Stdio};
-use std::time::{Duration, SystemTime};
+use std::time::{Duration, Instant, SystemTime};
 
 pub use evermap_test_data::shared;
 use serde_json::{Value, json};
@@ -221,12 +221,23 @@ pub const BESIDE_MIB: u64 = if cfg!(debug_assertions) { 384 } else { 256 };
 ///
 /// # Panics
 /// When it does not start.
-pub fn watched(mut command: Command) -> (Finished, u64) {
+pub fn watched(command: Command) -> (Finished, u64) {
+    watched_for(Duration::MAX, command)
+}
+
+/// As [`watched`]; ends a command that takes longer than so long.
+///
+/// # Panics
+/// When it does not start.
+pub fn watched_for(longest: Duration, mut command: Command) -> (Finished, u64) {
     let command = command.stdout(Stdio::null()).stderr(Stdio::piped());
-    let program = command.spawn().expect("evermap starts");
+    let (begun, mut program) = (Instant::now(), command.spawn().expect("evermap starts"));
     let mut most = 0;
     while let Some(held) = memory(program.id(), "VmHWM:") {
         most = most.max(held);
+        if begun.elapsed() > longest {
+            program.kill().expect("evermap can be ended");
+        }
         std::thread::sleep(Duration::from_millis(10));
     }
     let ended = program.wait_with_output().expect("evermap is waited for");

@@ -87,15 +87,9 @@ pub(crate) async fn instead(
     if choices.is_empty() || asked.places.is_empty() {
         return Ok(None);
     }
-    let frame = asked.vehicle.frame();
-    // One robot is enough: whether it is the one that is meant, reading the role's rows tells; and so it does of a topic
-    // that cannot be read.
-    let Ok(found) = asked.read(*robots, has_any).await else {
+    let Some(missing) = asked.missing(*robots).await else {
         return Ok(None);
     };
-    if has_any(&found, frame) {
-        return Ok(None);
-    }
     let names = |names: &mut dyn Iterator<Item = &String>| {
         let names: Vec<&str> = names.map(String::as_str).collect();
         names.join(", ")
@@ -105,7 +99,7 @@ pub(crate) async fn instead(
         role.name,
         names(&mut choices.iter().map(|choice| &choice.topic)),
         names(&mut session.roles.topics(role.name).iter()),
-        found.missing(frame),
+        missing,
     );
     Ok(Some((choices, note)))
 }
@@ -119,9 +113,7 @@ pub(crate) async fn unmoved(role: &Role, session: &Session) -> Option<String> {
     if topics.all(|topic| session.is_silent(topic)) {
         return None;
     }
-    let found = asked.read(*robots, has_any).await.ok()?;
-    let frame = asked.vehicle.frame();
-    (!has_any(&found, frame)).then(|| found.missing(frame))
+    asked.missing(*robots).await
 }
 
 /// Whether there is any robot, even if a manifest must say which one is meant.
@@ -163,6 +155,14 @@ impl Asked {
             }
             Err(fault) => Err(fault.at(format!("topic {topic}")).at(&part.url)),
         }
+    }
+
+    /// Why its topics move no vehicle, with what a manifest may say. `None` where they have a robot: whether it is the one
+    /// that is meant, reading the role's rows tells; and so it does of a topic that cannot be read.
+    async fn missing(&self, messages: Messages) -> Option<String> {
+        let found = self.read(messages, has_any).await.ok()?;
+        let frame = self.vehicle.frame();
+        (!has_any(&found, frame)).then(|| found.missing(frame))
     }
 
     /// The robots of its topics, until they are enough for the vehicle's frame.

@@ -38,6 +38,16 @@ fn drive(session: &str, moved: [f64; 2]) -> Vec<VehiclePose> {
     (0..20).map(pose).collect()
 }
 
+/// What ties a label to the vehicle of session `a` at an instant.
+fn anchor(stamp: i64, vehicle_from_label: Pose) -> Anchor {
+    Anchor {
+        session: "a".into(),
+        stamp: Stamp(stamp),
+        camera: None,
+        vehicle_from_label,
+    }
+}
+
 fn drawn(label: &str, x: f64, y: f64) -> Annotation {
     Annotation {
         site: "lot".into(),
@@ -268,12 +278,7 @@ fn poses_chosen_anew_hold_labels_in_between_but_not_across_gaps() {
         poses.retain(|pose| seconds.contains(&pose.stamp.0));
         Version::of(poses, vec![])
     };
-    let anchor = Anchor {
-        session: "a".into(),
-        stamp: Stamp(7),
-        camera: None,
-        vehicle_from_label: at(0.0, 2.0, 0.0),
-    };
+    let anchor = anchor(7, at(0.0, 2.0, 0.0));
     let (held, _) = anchors(
         vec![Annotation {
             anchor: Some(anchor.clone()),
@@ -312,12 +317,7 @@ fn a_label_kilometres_from_every_pose_is_counted_and_makes_nothing_larger() {
         ..drawn("high", 0.0, 0.0)
     };
     // Its anchor is near, it is not.
-    let beside = Anchor {
-        session: "a".into(),
-        stamp: Stamp(7),
-        camera: None,
-        vehicle_from_label: at(0.0, 5000.0, 0.0),
-    };
+    let beside = anchor(7, at(0.0, 5000.0, 0.0));
     let tied = Annotation {
         anchor: Some(beside),
         ..drawn("tied", 7.0, 5000.0)
@@ -344,12 +344,7 @@ fn a_label_kilometres_from_every_pose_is_counted_and_makes_nothing_larger() {
 #[test]
 fn of_an_instant_without_a_pose_it_is_not_said_that_the_session_is_gone() {
     let map = Version::of(drive("a", [0.0, 0.0]), vec![frame(0, 0.0)]);
-    let anchor = Anchor {
-        session: "a".into(),
-        stamp: Stamp(1_000_000),
-        camera: None,
-        vehicle_from_label: at(0.0, 2.0, 0.0),
-    };
+    let anchor = anchor(1_000_000, at(0.0, 2.0, 0.0));
     let said = Annotation {
         anchor: Some(anchor),
         ..drawn("one", 7.0, 3.0)

@@ -94,9 +94,7 @@ impl Bounds {
             _place: place,
         }))
     }
-}
 
-impl Bounds {
     /// What planning alone says, if it ends in time: it needs no place among the queries that run.
     ///
     /// # Errors

@@ -15,7 +15,7 @@ use super::Tell;
 
 /// What lies farther than this outside of all that the vehicle's poses span is not of the map, m: whatever covers the labels
 /// would cover all in between.
-const FARTHEST_M: f64 = 2000.0;
+const OUTSIDE_M: f64 = 2000.0;
 
 /// Between which poses a label may hang.
 #[derive(Debug, Clone, Serialize, Deserialize, JsonSchema)]
@@ -150,7 +150,7 @@ impl Placer {
             return false;
         };
         let is_near = |axis: usize, value: f64| {
-            let within = least[axis] - FARTHEST_M..=largest[axis] + FARTHEST_M;
+            let within = least[axis] - OUTSIDE_M..=largest[axis] + OUTSIDE_M;
             within.contains(&value)
         };
         let is_near = |point: &[f64; 3]| (0..3).all(|axis| is_near(axis, point[axis]));

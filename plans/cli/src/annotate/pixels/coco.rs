@@ -7,7 +7,9 @@ use evermap_schemas::Fault;
 use serde_json::{Value, json};
 
 use super::described::{Canvas, Described, OF_ANOTHER, which_are};
-use super::{Drawn, NAME, Rectangle, Said, Shape, degrees, kinds, listed, numbers, written};
+use super::{
+    Drawn, NAME, NO_SHAPE, Rectangle, Said, Shape, degrees, kinds, listed, numbers, written,
+};
 use crate::annotate::Losses;
 use crate::annotate::geojson::text;
 use crate::annotate::mosaic::Picture;
@@ -168,9 +170,6 @@ fn shape(annotation: &Value) -> Result<Shape, &'static str> {
     let found = Rectangle::about_middle([left, top], [width, height], degrees);
     Ok(Shape::Box(found))
 }
-
-/// Why an annotation is left out.
-const NO_SHAPE: &str = "annotation that is neither box nor outline";
 
 fn closed(outline: &Value) -> Option<Shape> {
     let numbers: Vec<f64> = numbers(outline)?;

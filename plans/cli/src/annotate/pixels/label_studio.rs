@@ -4,7 +4,7 @@ use evermap_schemas::Fault;
 use serde_json::{Value, json};
 
 use super::described::{Canvas, Described, OF_ANOTHER, is_file, which_are};
-use super::{Drawn, NAME, Rectangle, Said, Shape, degrees, listed, numbers, written};
+use super::{Drawn, NAME, NO_SHAPE, Rectangle, Said, Shape, degrees, listed, numbers, written};
 use crate::annotate::Losses;
 use crate::annotate::geojson::text;
 use crate::annotate::mosaic::Picture;
@@ -158,9 +158,6 @@ fn shape(result: &Value, size: [u32; 2]) -> Result<(Option<String>, Shape), &'st
         false => Err("annotation whose label is no text"),
     }
 }
-
-/// Why a result is left out.
-const NO_SHAPE: &str = "annotation that is neither box nor outline";
 
 fn turned(value: &Value, form: &str, (size, degrees): ([u32; 2], f64)) -> Option<Shape> {
     let scale = size.map(|side| f64::from(side) / 100.0);

@@ -430,6 +430,7 @@ fn degrees(value: &Value) -> Result<f64, &'static str> {
 
 /// Why a shape is left out.
 const TURNED: &str = "annotation whose rotation is no number of degrees";
+const NO_SHAPE: &str = "annotation that is neither box nor outline";
 
 #[cfg(test)]
 mod tests;
