@@ -37,12 +37,16 @@ map: sessions/annotations.mcap
 sessions/annotations.mcap: | release
 	$(EVERMAP) simulate car_park --out sessions --set width_px=640 --set height_px=480 --set annotations=true
 
+# OpenCV's bindings are built first and alone, here and below: their build script asks cargo for more threads, which it keeps
+# while anything else can be compiled, and what uses OpenCV, most of evermap, would wait until nothing else is left.
 release: packages
+	cargo build --release --locked --package opencv
 	cargo build --release --locked --package evermap
 
 # The library for Python is built by its own tests, which load it from Python; a program of Rust cannot. Two tests more than
 # there are cores run side by side: many wait for a server, a cluster or a map that another test makes.
 test: test-packages .venv/complete
+	cargo build --locked --package opencv
 	RUST_TEST_THREADS=$$(($$(nproc) + 2)) EVERMAP_PYTHON=$(CURDIR)/.venv/bin/python cargo test --workspace --exclude evermap-python --locked --tests
 	cargo test --workspace --exclude evermap-python --locked --doc
 
@@ -52,6 +56,7 @@ format:
 	find operators/catalog/src -name '*.rs' -exec rustfmt --check --edition 2024 {} +
 
 lint: packages format
+	cargo check --locked --package opencv
 	cargo clippy --workspace --all-targets --locked -- -D warnings
 
 # The Python package, for Python 3.10 and later: target/wheels.

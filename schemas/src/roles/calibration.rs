@@ -222,8 +222,11 @@ fn as_it_sees(fields: &Fields<'_>) -> Result<Lens, String> {
     let intrinsics = fields.numbers(&["k", "K"]);
     let distortion = fields.numbers(&["d", "D"]);
     check_finite(intrinsics.iter().chain(&distortion))?;
+    let Some(focal_length) = intrinsics.first() else {
+        return Err("expected K, 9 numbers, found none".to_owned());
+    };
     // CameraInfo: "if K[0] is 0, the camera is uncalibrated".
-    if intrinsics.first().is_none_or(|fx| *fx == 0.0) {
+    if *focal_length == 0.0 {
         return Err(
             "expected a focal length, found K[0] = 0: the calibration says that the camera is uncalibrated"
                 .to_owned(),

@@ -213,9 +213,12 @@ fn the_second_camera_of_a_pair_needs_r_and_p_in_every_message() {
 }
 
 #[test]
-fn a_camera_without_focal_length_says_that_it_is_not_calibrated() {
-    for k in [&[0.0; 9][..], &[]] {
+fn a_camera_without_focal_length_is_not_calibrated_and_one_without_k_is_told_so() {
+    for (k, is_told) in [
+        (&[0.0; 9][..], "the camera is uncalibrated"),
+        (&[], "expected K, 9 numbers, found none"),
+    ] {
         let said = read(k, &ONE, &P, [0; 4], RAW).err().unwrap_or_default();
-        assert!(said.contains("the camera is uncalibrated"), "{said}");
+        assert!(said.contains(is_told), "{said}");
     }
 }

@@ -120,9 +120,8 @@ impl Upright {
         [dy.atan2(dx), dx.hypot(dy)]
     }
 
-    /// The pixel of a point of a cylinder, by direction, range and height above the ground.
-    fn pixel(&self, azimuth: f64, range_m: f64, height_m: f64) -> Option<[f64; 2]> {
-        let [x, y] = self.on_ground(azimuth, range_m);
+    /// The pixel of a point at a height above one on the ground.
+    fn pixel(&self, [x, y]: [f64; 2], height_m: f64) -> Option<[f64; 2]> {
         let point = Vector3::new(x, y, height_m);
         let pixel = self
             .camera
@@ -137,10 +136,12 @@ impl Upright {
         let around = (TAU / per_column) as usize;
         let azimuth = |column: usize| behind - (column as f64 + 0.5) * per_column;
         let middle_m = 0.5 * PERSON_PX / px_per_m;
-        let seen = |column: &usize| self.pixel(azimuth(*column), range_m, middle_m).is_some();
+        let foot = |column: usize| self.on_ground(azimuth(column), range_m);
+        let seen = |column: &usize| self.pixel(foot(*column), middle_m).is_some();
         let first = (0..around).find(seen)?;
         let last = (0..around).rev().find(seen)?;
         let columns = last - first + 1;
+        let feet: Vec<[f64; 2]> = (first..=last).map(foot).collect();
         let rows = WINDOW[1] + 2 * PLAY;
         let height = |row: usize| {
             let below = (rows - PLAY) as f64 - MARGIN - (row as f64 + 0.5);
@@ -148,7 +149,7 @@ impl Upright {
         };
         let pixel = |at: usize| {
             let (row, column) = (at / columns, at % columns);
-            let pixel = self.pixel(azimuth(first + column), range_m, height(row));
+            let pixel = self.pixel(feet[column], height(row));
             pixel.map_or([f32::NAN; 2], |pixel| pixel.map(|at| at as f32))
         };
         (columns >= WINDOW[0]).then(|| Strip {
@@ -179,11 +180,15 @@ impl Upright {
     pub fn window(&self, image: &GrayView<'_>, of: &Stance) -> Picture {
         let per_px = of.height_m / PERSON_PX;
         let [width, height] = WINDOW;
+        let foot = |column: usize| {
+            let aside = column as f64 + 0.5 - 0.5 * width as f64;
+            self.on_ground(of.azimuth - aside * per_px / of.range_m, of.range_m)
+        };
+        let feet: Vec<[f64; 2]> = (0..width).map(foot).collect();
         let value = |at: usize| {
-            let (row, column) = ((at / width) as f64 + 0.5, (at % width) as f64 + 0.5);
-            let azimuth = of.azimuth - (column - 0.5 * width as f64) * per_px / of.range_m;
+            let row = (at / width) as f64 + 0.5;
             let above = of.foot_m + (height as f64 - MARGIN - row) * per_px;
-            let pixel = self.pixel(azimuth, of.range_m, above);
+            let pixel = self.pixel(feet[at % width], above);
             pixel.map_or(0, |pixel| sampled(image, pixel.map(|at| at as f32)))
         };
         Picture {
@@ -197,9 +202,10 @@ impl Upright {
     pub fn rectangle(&self, of: &Stance, width_m: f64) -> Option<[f64; 4]> {
         let aside = 0.5 * width_m / of.range_m;
         let heights = [of.foot_m, of.foot_m + of.height_m];
-        let corners = heights.into_iter().flat_map(|height| {
-            [-aside, aside].map(|by| self.pixel(of.azimuth + by, of.range_m, height))
-        });
+        let feet = [-aside, aside].map(|by| self.on_ground(of.azimuth + by, of.range_m));
+        let corners = heights
+            .into_iter()
+            .flat_map(|height| feet.map(|foot| self.pixel(foot, height)));
         corners.flatten().fold(None, |around, [u, v]| {
             let [left, top, right, bottom] = around.unwrap_or([u, v, u, v]);
             Some([left.min(u), top.min(v), right.max(u), bottom.max(v)])
