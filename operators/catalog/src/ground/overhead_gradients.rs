@@ -10,7 +10,7 @@ pub struct GradientsOfTiles;
 
 impl Operator for GradientsOfTiles {
     const NAME: &'static str = "overhead_gradients";
-    const VERSION: u32 = 2;
+    const VERSION: u32 = 3;
     const PAGE: &'static str = include_str!("overhead_gradients.md");
     type Params = NothingToChoose;
     type Output = OverheadGradients;

@@ -233,7 +233,7 @@ impl Taught {
             .filter(|one| known.leaves_open(&one.place));
         let open: Vec<Scored> = open.collect();
         let described = open.into_par_iter().filter_map(|found| {
-            let place = self.template.laid_on(gradients, found.place);
+            let place = self.template.laid_on(gradients, found.place, &self.sizes_m);
             let sample = describe(gradients, &place)?;
             let scored = Scored { place, ..found };
             Some(Described { scored, sample })

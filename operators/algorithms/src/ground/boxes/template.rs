@@ -1,7 +1,8 @@
 //! Where exactly a box lies: its gradients laid over those of the boxes that were drawn.
 //!
 //! A description knows of cells half a metre wide, so it finds a box to a decimetre or two. Here the mean of what the drawn
-//! boxes show, at four times the resolution, is moved over the image until it correlates best.
+//! boxes show, at four times the resolution, is moved over the image until it correlates best; and it is laid on in each size
+//! that was drawn, as lines half a decimetre beside those of another size are in the same cells.
 
 use super::GroundBox;
 use super::description::{ACROSS, ALONG, reach_m};
@@ -86,18 +87,57 @@ impl Template {
         Self { values: sums }
     }
 
-    /// The box moved and turned to where it correlates best, within a few decimetres.
-    pub fn laid_on(&self, gradients: &Gradients, place: GroundBox) -> GroundBox {
+    /// The box moved and turned to where it correlates best, within a few decimetres, in the size of these (lengths and widths,
+    /// m) in which it does so.
+    pub fn laid_on(
+        &self,
+        gradients: &Gradients,
+        place: GroundBox,
+        sizes_m: &[[f64; 2]],
+    ) -> GroundBox {
         if self.values.is_empty() {
             return place;
         }
         let step_m = place.width_m / 24.0;
-        let found = best_near(place, step_m, 0.04, 3, |place| {
+        let scored = |place: &GroundBox| {
             let values = laid_out(gradients, place)?;
             Some(f64::from(correlation(values.iter(), &self.values)))
-        });
-        found.map_or(place, |found| found.place)
+        };
+        let sized = sizes_m.iter().flat_map(|size_m| sized(place, *size_m));
+        let tried = sized.flat_map(|place| nearby(place, step_m));
+        let tried = tried.filter_map(|place| Some((scored(&place)?, place)));
+        let best = tried.max_by(|one, other| one.0.total_cmp(&other.0));
+        let from = best.map_or(place, |(_, place)| place);
+        best_near(from, step_m, 0.04, 3, scored).map_or(from, |found| found.place)
     }
+}
+
+/// A box in another size, where it was or with one of its ends.
+fn sized(place: GroundBox, [length_m, width_m]: [f64; 2]) -> impl Iterator<Item = GroundBox> {
+    let longer_m = 0.5 * (length_m - place.length_m);
+    let sized = move |ahead_m: f64| GroundBox {
+        centre: place.point([ahead_m, 0.0]),
+        length_m,
+        width_m,
+        ..place
+    };
+    let ends = [-longer_m, longer_m];
+    let ends = ends.into_iter().filter(|ahead_m| *ahead_m != 0.0);
+    std::iter::once(0.0).chain(ends).map(sized)
+}
+
+/// Steps to each side from which the best is looked for.
+const AROUND: i32 = 3;
+
+/// A box, moved by steps along and across: a line has weaker ones on both sides, and what is laid on these fits better than
+/// anything a step away.
+fn nearby(place: GroundBox, step_m: f64) -> impl Iterator<Item = GroundBox> {
+    let steps = move || (-AROUND..=AROUND).map(move |step| f64::from(step) * step_m);
+    let moved = steps().flat_map(move |along| steps().map(move |left| [along, left]));
+    moved.map(move |by| GroundBox {
+        centre: place.point(by),
+        ..place
+    })
 }
 
 fn correlation<'a>(one: impl Iterator<Item = &'a [f32; 2]>, other: &[[f32; 2]]) -> f32 {

@@ -1,4 +1,18 @@
 //! The overhead image as gradients, brighter and darker floors alike.
+//!
+//! Boxes are told by lines, and a line differs from what lies to both sides of it. So what is called a gradient is the largest
+//! second derivative of a cell, by size, and its direction leads across the line: the border of a car or a shadow, which is
+//! bright to one side and dark to the other, counts less than a line of the same contrast. In colour it is that of brightness or
+//! of one of two opponent colours in which it is strongest: of a floor's grain, opponent colours show next to nothing.
+//!
+//! Sources: Steger, *An unbiased detector of curvilinear structures* (1998), for lines; Dalal & Triggs, *Histograms of oriented
+//! gradients for human detection* (2005), for the strongest channel; van de Sande, Gevers & Snoek, *Evaluating color descriptors
+//! for object and scene recognition* (2010), for opponent colours.
+
+#[cfg(test)]
+mod tests;
+
+use std::f32::consts::{FRAC_1_SQRT_2, TAU};
 
 use rayon::prelude::*;
 
@@ -9,6 +23,8 @@ use crate::ground::channels::Channels;
 const LEVEL_M: f64 = 8.0;
 /// Width of the mean that is taken before gradients are (m): about that of a drawn line, so that the floor's grain is gone.
 const SMOOTH_M: f64 = 0.15;
+/// From the middle of a line to what it is compared with on both sides (m): lines are about as wide, so that is the floor.
+const BESIDE_M: f64 = 0.1;
 /// Gradients below this are noise of the image, grey values per cell.
 const NOISE: f32 = 1.0;
 /// A gradient counts no more than this many times the mean around it.
@@ -16,6 +32,8 @@ const MOST: f32 = 8.0;
 
 /// No gradient depends on what is more cells away (two tiles), however small cells are.
 const MOST_RADIUS: f64 = 512.0;
+/// Nor is what lies beside a line more cells away.
+const MOST_BESIDE: f64 = 16.0;
 /// Strength of the strongest gradient; the steps below it are equal.
 const STRONGEST: u8 = 254;
 /// What a step of strength is.
@@ -24,6 +42,16 @@ pub(super) const STEP: f32 = MOST / STRONGEST as f32;
 const UNSEEN: u8 = 255;
 /// Directions that are told apart, over half a turn.
 pub(super) const DIRECTIONS: usize = 256;
+
+/// Shares of red, green and blue in brightness, and in the opponent colours red to green and blue to yellow. Grey has none of the
+/// latter.
+const OPPONENTS: [[f32; 3]; 3] = [
+    [0.299, 0.587, 0.114],
+    [FRAC_1_SQRT_2, -FRAC_1_SQRT_2, 0.0],
+    [YELLOW, YELLOW, -2.0 * YELLOW],
+];
+/// One over the root of six.
+const YELLOW: f32 = 0.408_248_3;
 
 /// The gradient of a cell: its strength in steps, 255 where nothing was seen, and its direction from east in 256ths of half a
 /// turn, anticlockwise: a line has one direction, whichever side is bright.
@@ -74,27 +102,25 @@ impl Overhead {
 
     /// How many cells to each side of one its gradient depends on.
     pub(super) fn margin(cell_m: f64) -> usize {
-        level_radius(cell_m) + smooth_radius(cell_m) + 1
+        level_radius(cell_m) + smooth_radius(cell_m) + beside(cell_m)
     }
 
     /// Gradients of all cells, of equal strength wherever there is structure: those of cells with less than
-    /// [`Self::margin`] around them are of what the image shows. In colour each is that of the channel in which it is strongest,
-    /// as Dalal & Triggs take it.
+    /// [`Self::margin`] around them are of what the image shows.
     pub(super) fn gradients(&self) -> Vec<GradientCell> {
         let (columns, rows) = (self.columns, self.rows);
-        let at = |column: usize, row: usize| row * columns + column;
         let counts = self.seen();
-        let mut raw = vec![[0.0; 2]; columns * rows];
-        for channel in &self.channels {
-            self.strengthen(&mut raw, &self.smoothed(channel, &counts));
+        let mut raw = vec![Line::default(); columns * rows];
+        for values in self.contrasts() {
+            self.strengthen(&mut raw, &self.smoothed(&values, &counts), &counts);
         }
-        let strength: Vec<f32> = raw.iter().map(|[x, y]| x.hypot(*y)).collect();
+        let strength: Vec<f32> = raw.iter().map(|line| line.strength).collect();
         let radius = level_radius(self.cell_m);
         let sums = Sums::new(&strength, columns, rows);
         let cells = (0..rows).into_par_iter().flat_map_iter(|row| {
             let (raw, strength, sums, counts) = (&raw, &strength, &sums, &counts);
             (0..columns).map(move |column| {
-                let cell = at(column, row);
+                let cell = row * columns + column;
                 if !self.covered[cell] {
                     return NOT_SEEN;
                 }
@@ -102,7 +128,7 @@ impl Overhead {
                     sums.around(column, row, radius) / counts.around(column, row, radius).max(1.0);
                 let level = around as f32 + NOISE;
                 let levelled = (strength[cell] / level).min(MOST);
-                gradient_cell(levelled, half_turns(raw[cell][0], raw[cell][1]))
+                gradient_cell(levelled, raw[cell].half_turns())
             })
         });
         cells.collect()
@@ -114,52 +140,96 @@ impl Overhead {
         Sums::new(&seen.collect::<Vec<f32>>(), self.columns, self.rows)
     }
 
-    /// The mean of a channel about each cell, of what was seen.
-    fn smoothed(&self, channel: &[u8], counts: &Sums) -> Vec<f32> {
-        let values = channel.iter().zip(&self.covered);
-        let values = values.map(|(value, seen)| f32::from(*value) * f32::from(u8::from(*seen)));
-        let sums = Sums::new(&values.collect::<Vec<f32>>(), self.columns, self.rows);
+    /// What lines are looked for in, by cell: grey values, or [`OPPONENTS`].
+    fn contrasts(&self) -> Vec<Vec<f32>> {
+        let [red, green, blue] = self.channels.as_slice() else {
+            let grey = self.channels.iter();
+            let values = grey.map(|values| values.iter().copied().map(f32::from).collect());
+            return values.collect();
+        };
+        let shown = |[reds, greens, blues]: &[f32; 3]| {
+            let cells = red.iter().zip(green).zip(blue);
+            let value = |((red, green), blue): ((&u8, &u8), &u8)| {
+                reds * f32::from(*red) + greens * f32::from(*green) + blues * f32::from(*blue)
+            };
+            cells.map(value).collect()
+        };
+        OPPONENTS.iter().map(shown).collect()
+    }
+
+    /// The mean of values about each cell, of what was seen.
+    fn smoothed(&self, values: &[f32], counts: &Sums) -> Vec<f32> {
+        let seen = values.iter().zip(&self.covered);
+        let seen = seen.map(|(value, seen)| value * f32::from(u8::from(*seen)));
+        let sums = Sums::new(&seen.collect::<Vec<f32>>(), self.columns, self.rows);
         let radius = smooth_radius(self.cell_m);
         let mean = |cell: usize| {
             let (column, row) = (cell % self.columns, cell / self.columns);
             let [sum, seen] = [&sums, counts].map(|sums| sums.around(column, row, radius));
             (sum / seen.max(1.0)) as f32
         };
-        (0..channel.len()).map(mean).collect()
+        (0..values.len()).map(mean).collect()
     }
 
-    /// Puts the gradients of a channel in the place of weaker ones. A cell on the border, or beside one that was not seen, has
+    /// Puts the lines that values show in the place of weaker ones. A cell near the border, or near one that was not seen, has
     /// none.
-    fn strengthen(&self, strongest: &mut [[f32; 2]], smooth: &[f32]) {
-        let (columns, rows) = (self.columns, self.rows);
-        let at = |column: usize, row: usize| row * columns + column;
-        let lines = strongest.par_chunks_mut(columns.max(1)).enumerate();
-        lines.for_each(|(row, line)| {
-            for (column, known) in line.iter_mut().enumerate() {
-                let inner = column > 0 && row > 0 && column + 1 < columns && row + 1 < rows;
-                let around = || {
-                    let (columns, rows) = (column - 1..=column + 1, row - 1..=row + 1);
-                    rows.flat_map(move |row| columns.clone().map(move |column| at(column, row)))
-                };
-                if !inner || !around().all(|cell| self.covered[cell]) {
+    fn strengthen(&self, strongest: &mut [Line], smooth: &[f32], counts: &Sums) {
+        let beside = beside(self.cell_m);
+        let all = ((2 * beside + 1) * (2 * beside + 1)) as f64;
+        let value = |column: usize, row: usize| smooth[row * self.columns + column];
+        let lines = strongest.par_chunks_mut(self.columns.max(1)).enumerate();
+        lines.for_each(|(row, cells)| {
+            for (column, known) in cells.iter_mut().enumerate() {
+                if counts.around(column, row, beside) < all {
                     continue;
                 }
-                let value = |column: usize, row: usize| smooth[at(column, row)];
-                let gradient = [
-                    0.5 * (value(column + 1, row) - value(column - 1, row)),
-                    0.5 * (value(column, row - 1) - value(column, row + 1)),
-                ];
-                if square(gradient) > square(*known) {
-                    *known = gradient;
+                let (west, east) = (column - beside, column + beside);
+                let (north, south) = (row - beside, row + beside);
+                let twice = 2.0 * value(column, row);
+                let line = Line::new([
+                    value(west, row) + value(east, row) - twice,
+                    0.25 * (value(east, north) + value(west, south)
+                        - value(west, north)
+                        - value(east, south)),
+                    value(column, north) + value(column, south) - twice,
+                ]);
+                if line.strength > known.strength {
+                    *known = line;
                 }
             }
         });
     }
 }
 
-/// The square of a length.
-fn square([x, y]: [f32; 2]) -> f32 {
-    x * x + y * y
+/// How a cell differs from what lies beside it.
+#[derive(Debug, Clone, Copy, Default)]
+struct Line {
+    /// From the mean of what lies to both sides, in the direction in which that is most.
+    strength: f32,
+    /// This direction, from east, doubled: parts of a vector of any length.
+    doubled: [f32; 2],
+}
+
+impl Line {
+    /// From second derivatives: twice to the east, to the east and to the north, and twice to the north. The one in a direction
+    /// `φ` is `mean + (cos 2φ, sin 2φ) · doubled`.
+    fn new([east, both, north]: [f32; 3]) -> Self {
+        let mean = 0.5 * (east + north);
+        let doubled = [0.5 * (east - north), both];
+        let length = (doubled[0] * doubled[0] + doubled[1] * doubled[1]).sqrt();
+        let sign = if mean < 0.0 { -1.0 } else { 1.0 };
+        Self {
+            strength: 0.5 * (mean.abs() + length),
+            doubled: doubled.map(|part| sign * part),
+        }
+    }
+
+    /// Its direction in half turns, 0 to 1.
+    fn half_turns(&self) -> f32 {
+        let [cos, sin] = self.doubled;
+        let half_turns = sin.atan2(cos) / TAU;
+        half_turns - half_turns.floor()
+    }
 }
 
 /// Cells from one to the border of the square over which its contrast is levelled.
@@ -171,6 +241,11 @@ fn level_radius(cell_m: f64) -> usize {
 fn smooth_radius(cell_m: f64) -> usize {
     let radius = 0.5 * (SMOOTH_M / cell_m - 1.0);
     radius.round().clamp(0.0, MOST_RADIUS) as usize
+}
+
+/// Cells from the middle of a line to what it is compared with.
+fn beside(cell_m: f64) -> usize {
+    (BESIDE_M / cell_m).round().clamp(1.0, MOST_BESIDE) as usize
 }
 
 /// A cell with a gradient of this strength, at most [`MOST`], and direction in half turns, 0 to 1.
@@ -203,7 +278,7 @@ impl Gradients {
         cells: Vec<GradientCell>,
     ) -> Self {
         let doubled = std::array::from_fn(|direction| {
-            let turn = std::f32::consts::TAU * direction as f32 / DIRECTIONS as f32;
+            let turn = TAU * direction as f32 / DIRECTIONS as f32;
             [turn.cos(), turn.sin()]
         });
         Self {
@@ -297,12 +372,6 @@ fn strength(cell: &GradientCell) -> f32 {
         true => f32::from(cell[0]) * STEP,
         false => 0.0,
     }
-}
-
-/// The direction of a gradient, in half turns, 0 to 1.
-fn half_turns(along: f32, left: f32) -> f32 {
-    let turns = left.atan2(along) / std::f32::consts::PI;
-    turns - turns.floor()
 }
 
 /// Sums over rectangles.
