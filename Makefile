@@ -88,8 +88,7 @@ bench-mosaic: packages
 	cargo bench --package evermap-catalog --bench mosaic --locked
 
 # Side by side with other programs, as BENCHMARKS.md tells.
-peers: packages .venv/bench
-	cargo build --release --locked --package evermap
+peers: release .venv/bench
 	cargo build --release --locked --package evermap-datasets --example scan
 	.venv/bin/python tests/peers/decode.py
 	.venv/bin/python tests/peers/images.py

@@ -421,8 +421,7 @@ fn a_query_that_only_takes_time_leaves_its_thread_soon_after_its_end() {
         answer.contains(" 503 ") && answer.contains("took longer than 3s"),
         "{answer}"
     );
-    // Of its three seconds it has had a fifth of one at least, however much runs beside it.
-    assert!(server.computed() - before > 20, "nothing was computed");
+    assert!(server.computed() - before > 100, "nothing was computed");
     assert!(rests(&server), "a thread computes on after the deadline");
 
     // A client's end is noticed long before the time of its query.
