@@ -2,7 +2,6 @@
 //!
 //! Each rule is stated once, in [`WALLS`], with its reason. What is a matter of source text (one operator plan node,
 //! no operator's name in the engine) follows below. A wall that no longer stands on any crate fails too.
-#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};

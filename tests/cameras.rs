@@ -1,8 +1,6 @@
 //! Cameras as ROS describes them: which part of a sensor is read, which way its bytes lie, which of several topics has its
 //! images, which lens those have that were rectified, and whose frame they name.
 
-#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
-
 use std::path::{Path, PathBuf};
 
 use evermap_tests::json_log::JsonLog;

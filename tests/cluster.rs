@@ -1,7 +1,5 @@
 //! One machine or many: the same layers, digest for digest, even when executors die.
 
-#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
-
 use std::io::{BufRead, BufReader};
 use std::net::TcpListener;
 use std::path::{Path, PathBuf};

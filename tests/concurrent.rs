@@ -1,7 +1,5 @@
 //! Several at work on one map: runs beside runs, and `gc` beside runs.
 
-#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
-
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};

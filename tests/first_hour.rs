@@ -1,8 +1,6 @@
 //! The first hour: of an engineer with logs of one's own, where nothing would come out; of an analyst, who has other
 //! programs and compares versions; of a developer, whose query is not the same twice.
 
-#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
-
 use std::path::Path;
 
 use evermap_tests::json_log::JsonLog;

@@ -2,7 +2,6 @@
 //! memory, and ends with the exit code that fits.
 //!
 //! The logs are made by a script that lies beside the repository, and are no part of it. The script has to be there.
-#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 use std::borrow::Cow;
 use std::collections::BTreeMap;

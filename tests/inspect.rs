@@ -1,7 +1,5 @@
 //! What `evermap inspect` says of a log, word by word, and the manifest that it writes.
 
-#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
-
 use std::path::Path;
 
 use evermap_datasets::log::record::{MAGIC, split};

@@ -1,7 +1,5 @@
 //! What people say about a map: logs like any other, and labels that stay where they belong in every version.
 
-#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
-
 use std::path::{Path, PathBuf};
 use std::process::Stdio;
 

@@ -1,7 +1,5 @@
 //! A map over time: sessions join, what is unchanged is kept, a killed run leaves nothing half done.
 
-#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
-
 use std::ffi::OsStr;
 use std::os::unix::ffi::OsStrExt;
 use std::path::{Path, PathBuf};

@@ -1,8 +1,6 @@
 //! What `previous` means as a map lives: before the first version, when a session joins, when nothing is new, when a
 //! session's log is replaced.
 
-#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
-
 use std::path::{Path, PathBuf};
 use std::time::{Duration, SystemTime};
 

@@ -4,13 +4,6 @@
 //! Figures are printed with `-- --nocapture`. `error` is the absolute trajectory error after one rigid alignment, without
 //! scale, of the whole map; the odometry's error beside it is after an alignment of each drive for itself.
 
-#![allow(
-    clippy::unwrap_used,
-    clippy::expect_used,
-    clippy::panic,
-    clippy::print_stderr
-)]
-
 use std::path::{Path, PathBuf};
 use std::sync::OnceLock;
 

@@ -1,7 +1,5 @@
 //! The plans that ship: they check, their tests pass, and a bad plan is refused with all its faults.
 
-#![allow(clippy::unwrap_used, clippy::expect_used)]
-
 use evermap_tests::{evermap, page, rectangle, repository, rows_of, text, write_drive};
 
 #[test]

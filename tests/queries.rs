@@ -1,7 +1,5 @@
 //! SQL over layers and logs, as text files in `tests/sql` (sqllogictest). Run with `EVERMAP_BLESS=1` to complete them.
 
-#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
-
 use std::collections::{BTreeMap, HashMap};
 use std::fs::File;
 use std::io::Write;

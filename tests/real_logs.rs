@@ -1,12 +1,5 @@
 //! Recordings that others made: every one decodes or says why not, and values equal those of the official readers.
 
-#![allow(
-    clippy::unwrap_used,
-    clippy::expect_used,
-    clippy::panic,
-    clippy::print_stderr
-)]
-
 use std::path::{Path, PathBuf};
 use std::process::Command;
 

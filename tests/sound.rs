@@ -1,7 +1,5 @@
 //! A map whose files were damaged, torn or lost: it is noticed, said, and made anew.
 
-#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
-
 use std::path::{Path, PathBuf};
 
 use evermap_tests::{

@@ -1,7 +1,5 @@
 //! When messages were sent, however their stamps are spelled, and where a clock begins at zero.
 
-#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
-
 use std::path::Path;
 
 use evermap_tests::json_log::JsonLog;

@@ -1,13 +1,6 @@
 //! Logs of which only rectified images were recorded, turned against their cameras' frames as R says, make the maps that
 //! logs make whose images are not turned.
 
-#![allow(
-    clippy::unwrap_used,
-    clippy::expect_used,
-    clippy::panic,
-    clippy::print_stderr
-)]
-
 use std::collections::BTreeMap;
 use std::path::Path;
 

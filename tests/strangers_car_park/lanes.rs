@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use evermap_tests::{rows_of, run, write_drive};
 use serde_json::Value;
 
-use crate::world;
+use super::world;
 
 type Point = [f64; 2];
 

@@ -10,9 +10,9 @@ use evermap_tests::park::{Localised, adjusted_error, copy, made_once, run, run_w
 use evermap_tests::trajectories::{Trajectories, rows, truth};
 use evermap_tests::{evermap, text};
 
-use crate::floor::{self, Likeness};
-use crate::parking::spaces;
-use crate::{session, world};
+use super::floor::{self, Likeness};
+use super::parking::spaces;
+use super::{session, world};
 
 /// A copy, in this folder, of the map that the plan `parking` makes of the first drive.
 pub(crate) fn first_drive(world: &Path, folder: &Path) -> PathBuf {

@@ -8,9 +8,9 @@ use evermap_tests::server::{Server, script};
 use evermap_tests::{Finished, text};
 use serde_json::json;
 
-use crate::mapped::first_drive;
-use crate::parking::{found, spaces};
-use crate::world;
+use super::mapped::first_drive;
+use super::parking::{found, spaces};
+use super::world;
 
 /// Spaces that are drawn, and questions that are answered, before the server is killed.
 const ROUND: [&str; 2] = ["2", "20"];

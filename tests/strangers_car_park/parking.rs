@@ -11,8 +11,8 @@ use evermap_tests::park::finished;
 use evermap_tests::trajectories::{Trajectories, poses, rows, truth, truth_from_map};
 use serde_json::Value;
 
-use crate::mapped::first_drive;
-use crate::{session, world};
+use super::mapped::first_drive;
+use super::{session, world};
 
 /// Spaces that are drawn in each of the first four rounds.
 const DRAWN: usize = 2;

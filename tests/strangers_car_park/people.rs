@@ -1,16 +1,18 @@
 //! Where people are and how fast to drive, with what its truth says of people as detections.
 
 use std::path::{Path, PathBuf};
+use std::sync::OnceLock;
 
 use evermap_algorithms::geometry::pose::Pose;
 use evermap_algorithms::geometry::trajectory::StampedPose;
 use evermap_messages::annotation::{Anchor, Annotation, Geometry};
 use evermap_recording::annotations::AnnotationLog;
+use evermap_tests::park::{copy, made_once};
 use evermap_tests::trajectories::{rows, truth};
 use evermap_tests::{evermap, run_of_site, text};
-use serde_json::Value;
+use serde_json::{Value, json};
 
-use crate::{session, world};
+use super::{session, world};
 
 /// A first visit without people, and two in which they use one crossing.
 const SESSIONS: [&str; 3] = ["initial", "revisit_1", "revisit_2"];
@@ -356,28 +358,41 @@ fn judged(
     )
 }
 
+/// Of each visit every so manyth image.
+fn visits() -> Vec<(&'static str, usize)> {
+    SESSIONS.into_iter().zip([16, 4, 4]).collect()
+}
+
+/// The people whom the untaught detector finds in its visits: a map, which tests share.
+fn untaught(world: &Path) -> &'static Path {
+    static MAP: OnceLock<PathBuf> = OnceLock::new();
+    MAP.get_or_init(|| {
+        let folder = made_once(env!("CARGO_TARGET_TMPDIR"), "strangers_people");
+        let plan = format!(
+            "plan: found
+steps:
+{}  people: {{ op: people, in: {{ hypotheses: person_hypotheses }} }}
+  people_on_ground: {{ op: people_on_ground }}
+write: [poses, person_hypotheses, people, people_on_ground]
+",
+            looked_at(world, &visits()),
+        );
+        let path = folder.join("found.yaml");
+        std::fs::write(&path, plan).unwrap();
+        let map = folder.join("map");
+        run(&path, &map, &SESSIONS.map(|name| session(world, name)));
+        map
+    })
+}
+
 #[test]
 fn people_are_found_before_anybody_taught() {
     let Some(world) = world() else {
         return;
     };
-    let folder = tempfile::tempdir().unwrap();
-    let map = folder.path().join("map");
-    let visits: Vec<(&str, usize)> = SESSIONS.into_iter().zip([16, 4, 4]).collect();
-    let plan = format!(
-        "plan: found
-steps:
-{}  people: {{ op: people, in: {{ hypotheses: person_hypotheses }} }}
-  people_on_ground: {{ op: people_on_ground }}
-write: [poses, people, people_on_ground]
-",
-        looked_at(&world, &visits),
-    );
-    let path = folder.path().join("found.yaml");
-    std::fs::write(&path, plan).unwrap();
-    run(&path, &map, &SESSIONS.map(|name| session(&world, name)));
-    let found = on_ground(&map);
-    let there = in_images_looked_at(&world, &map, &SESSIONS);
+    let map = untaught(&world);
+    let found = on_ground(map);
+    let there = in_images_looked_at(&world, map, &SESSIONS);
 
     let (mut seen, mut known) = ([0.0; 2], [0.0; 2]);
     let mut off: Vec<f64> = Vec::new();
@@ -437,7 +452,7 @@ steps:
     in: {{ hypotheses: asked, models: person_models, examples: person_examples }}
 write: [poses, person_hypotheses, person_examples, person_models, people, people_on_ground, person_questions]
 ",
-        looked_at(world, &[(TAUGHT, 4), (JUDGED, 4)])
+        looked_at(world, &visits())
     );
     let path = folder.join("taught.yaml");
     std::fs::write(&path, plan).unwrap();
@@ -544,7 +559,7 @@ fn twenty_answers_about_one_visit_find_people_better_in_another() {
         return;
     };
     let folder = tempfile::tempdir().unwrap();
-    let map = folder.path().join("map");
+    let map = copy(untaught(&world), folder.path(), "map");
     let plan = teaching_plan(&world, folder.path());
     let mut logs = vec![session(&world, TAUGHT), session(&world, JUDGED)];
     let mut judged = Vec::new();
@@ -568,6 +583,9 @@ fn twenty_answers_about_one_visit_find_people_better_in_another() {
             logs.push(log);
         }
     }
+    let looked = "SELECT DISTINCT version FROM runs
+                  WHERE step = 'person_hypotheses' AND NOT cached AND session LIKE 'revisit%'";
+    assert_eq!(rows(&map, None, looked), [json!({ "version": 1 })]);
     let examples = rows(&map, None, "SELECT count(*) AS n FROM person_examples");
     assert_eq!(examples[0]["n"], 20);
     // Of some fifty people, one that is found or not is 0.02.

@@ -1,7 +1,5 @@
 //! The Python package reads what `evermap sql` prints, and runs plans; the guide's code does what it says.
 
-#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
-
 use std::path::{Path, PathBuf};
 
 use evermap_tests::server::{map, script};

@@ -1,8 +1,6 @@
 //! `evermap serve`: what psycopg, JDBC, ADBC and HTTP read is what `evermap sql` prints, also while versions are published,
 //! and what must be refused is.
 
-#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
-
 use std::collections::BTreeMap;
 use std::io::{Read, Write};
 use std::path::{Path, PathBuf};

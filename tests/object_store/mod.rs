@@ -1,7 +1,5 @@
 //! Maps and logs on an object store: made, asked, raced for, killed, and all that with a network that fails.
 
-#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
-
 mod server;
 
 use std::path::{Path, PathBuf};

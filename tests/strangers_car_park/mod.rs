@@ -1,13 +1,6 @@
 //! A car park that somebody else's program simulated, with exact truth: mapped from its own images and odometry, taught,
 //! and what perfect poses or people make of it.
 
-#![allow(
-    clippy::unwrap_used,
-    clippy::expect_used,
-    clippy::panic,
-    clippy::print_stderr
-)]
-
 mod floor;
 mod lanes;
 mod mapped;

@@ -1,8 +1,6 @@
 //! Steps in Python: the same bytes as an operator's, done again when code, parameters or packages change, held to what
 //! operators are held to.
 
-#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
-
 use std::path::{Path, PathBuf};
 
 use evermap_tests::server::Server;

@@ -1,8 +1,6 @@
 //! The mistakes that people make most, and what they are told: a golden file for each kind of person. A line that starts
 //! with `$` is what they typed; the exit status and all that the program said stand below it.
-//! `EVERMAP_BLESS=1 cargo test --test mistakes` rewrites them.
-
-#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+//! `EVERMAP_BLESS=1 cargo test --test end_to_end mistakes` rewrites them.
 
 use std::path::Path;
 

@@ -1,7 +1,5 @@
 //! Maps in the formats of other programs, read by these programs' own readers.
 
-#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
-
 use std::path::{Path, PathBuf};
 
 use evermap_tests::recording::is_read_as_the_map_says;
