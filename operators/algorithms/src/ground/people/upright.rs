@@ -63,8 +63,8 @@ struct Strip {
     /// Of the first column's left edge; columns turn clockwise.
     azimuth: f64,
     columns: usize,
-    /// Pixel of the image, row by row; not a number where nothing is seen.
-    pixels: Vec<[f32; 2]>,
+    /// What of the image is shown, row by row.
+    shown: Vec<Four>,
 }
 
 impl Upright {
@@ -129,6 +129,13 @@ impl Upright {
         self.camera.contains(pixel).then_some(pixel)
     }
 
+    /// What the image shows of a point at a height above one on the ground.
+    fn four(&self, foot: [f64; 2], height_m: f64) -> Four {
+        let pixel = self.pixel(foot, height_m);
+        let size = [self.camera.width, self.camera.height];
+        pixel.map_or(Four::NONE, |pixel| Four::about(pixel, size))
+    }
+
     fn strip(&self, range_m: f64, px_per_m: f64) -> Option<Strip> {
         let axis = self.camera_from_plane.inverse().rotate(&Vector3::z());
         let behind = axis.y.atan2(axis.x) + PI;
@@ -147,17 +154,16 @@ impl Upright {
             let below = (rows - PLAY) as f64 - MARGIN - (row as f64 + 0.5);
             below / px_per_m
         };
-        let pixel = |at: usize| {
+        let shown = |at: usize| {
             let (row, column) = (at / columns, at % columns);
-            let pixel = self.pixel(feet[column], height(row));
-            pixel.map_or([f32::NAN; 2], |pixel| pixel.map(|at| at as f32))
+            self.four(feet[column], height(row))
         };
         (columns >= WINDOW[0]).then(|| Strip {
             range_m,
             px_per_m,
             azimuth: behind - first as f64 * per_column,
             columns,
-            pixels: (0..columns * rows).map(pixel).collect(),
+            shown: (0..columns * rows).map(shown).collect(),
         })
     }
 
@@ -167,7 +173,7 @@ impl Upright {
         image: &'a GrayView<'a>,
     ) -> impl Iterator<Item = (Picture, impl Fn([usize; 2]) -> Stance)> {
         self.strips.iter().map(|strip| {
-            let values = strip.pixels.iter().map(|pixel| sampled(image, *pixel));
+            let values = strip.shown.iter().map(|four| four.value(image));
             let picture = Picture {
                 width: strip.columns,
                 values: values.collect(),
@@ -188,8 +194,7 @@ impl Upright {
         let value = |at: usize| {
             let row = (at / width) as f64 + 0.5;
             let above = of.foot_m + (height as f64 - MARGIN - row) * per_px;
-            let pixel = self.pixel(feet[at % width], above);
-            pixel.map_or(0, |pixel| sampled(image, pixel.map(|at| at as f32)))
+            self.four(feet[at % width], above).value(image)
         };
         Picture {
             width,
@@ -226,24 +231,46 @@ impl Strip {
     }
 }
 
-/// The value between four pixels; 0 outside.
-fn sampled(image: &GrayView<'_>, [u, v]: [f32; 2]) -> u8 {
-    if u.is_nan() {
-        return 0;
+/// Four pixels about a point of an image.
+#[derive(Debug, Clone, Copy)]
+struct Four {
+    /// The upper left one's number, row by row.
+    first: u32,
+    /// How far the point lies from it, as a share of the way to the next one: across and down.
+    shares: [f32; 2],
+}
+
+impl Four {
+    /// Nothing is seen.
+    const NONE: Self = Self {
+        first: u32::MAX,
+        shares: [0.0; 2],
+    };
+
+    /// About a point on a pixel of an image of this width and height.
+    fn about([u, v]: [f64; 2], [width, height]: [u32; 2]) -> Self {
+        let split = |at: f64, size: u32| {
+            let at = (at as f32).clamp(0.0, size.saturating_sub(1) as f32);
+            let low = (at as u32).min(size.saturating_sub(2));
+            (low, at - low as f32)
+        };
+        let (left, across) = split(u, width);
+        let (upper, down) = split(v, height);
+        Self {
+            first: upper * width + left,
+            shares: [across, down],
+        }
     }
-    let (width, height) = (image.width() as usize, image.height() as usize);
-    let split = |at: f32, size: usize| {
-        let at = at.clamp(0.0, size.saturating_sub(1) as f32);
-        let low = at as usize;
-        (low, (low + 1).min(size.saturating_sub(1)), at - low as f32)
-    };
-    let (left, right, across) = split(u, width);
-    let (upper, lower, down) = split(v, height);
-    let at = |row: usize, column: usize| {
-        let value = image.pixels().get(row * width + column);
-        f32::from(value.copied().unwrap_or(0))
-    };
-    let between = |row| at(row, left) + across * (at(row, right) - at(row, left));
-    let (above, below) = (between(upper), between(lower));
-    (above + down * (below - above) + 0.5) as u8
+
+    /// The value between them; 0 where nothing is seen.
+    #[inline]
+    fn value(&self, image: &GrayView<'_>) -> u8 {
+        let (first, below) = (self.first as usize, image.width() as usize);
+        let pixels = image.pixels();
+        let at = |number: usize| f32::from(pixels.get(number).copied().unwrap_or(0));
+        let [across, down] = self.shares;
+        let between = |from: usize| at(from) + across * (at(from + 1) - at(from));
+        let (above, below) = (between(first), between(first + below));
+        (above + down * (below - above) + 0.5) as u8
+    }
 }
