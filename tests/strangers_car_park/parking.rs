@@ -11,7 +11,7 @@ use evermap_tests::park::finished;
 use evermap_tests::trajectories::{Trajectories, poses, rows, truth, truth_from_map};
 use serde_json::Value;
 
-use super::mapped::first_drive;
+use super::mapped::{first_drive, lend_metric_map, two_drives};
 use super::{session, world};
 
 /// Spaces that are drawn in each of the first four rounds.
@@ -212,6 +212,15 @@ fn described_in(map: &Path) -> Vec<Value> {
     runs.iter().map(|run| run["version"].clone()).collect()
 }
 
+/// The longest steps of the metric map that the run of a version computed.
+fn metric_steps_of(map: &Path, version: u32) -> Vec<Value> {
+    let query = format!(
+        "SELECT DISTINCT step FROM runs WHERE version = {version} AND NOT cached
+         AND step IN ('features', 'localisations', 'adjusted_poses')"
+    );
+    rows(map, None, &query)
+}
+
 #[test]
 fn a_few_drawn_spaces_and_some_answers_find_the_others() {
     let Some(world) = world() else { return };
@@ -268,8 +277,12 @@ fn a_few_drawn_spaces_and_some_answers_find_the_others() {
         "{alone:?}"
     );
     assert_eq!(numbers("entered"), numbers("n"), "{alone:?}");
-    // What each drive saw of them: a second one comes when all is taught.
+    // What each drive saw of them: a second one comes when all is taught. The metric map is that of a map of which other things
+    // were said.
+    lend_metric_map(two_drives(&world), &map);
     grown(&map, &session(&world, "revisit_1"));
+    let computed = metric_steps_of(&map, 8);
+    assert!(computed.is_empty(), "{computed:?}");
     assert_eq!(described_in(&map), [1, 8]);
     let known = ["initial", "revisit_1"].map(|session| occupied_as_in(&world, &map, session));
     let [seen, right] = [0, 1].map(|of| known[0][of] + known[1][of]);
