@@ -2,11 +2,15 @@
 
 use std::path::{Path, PathBuf};
 use std::process::Stdio;
+use std::sync::OnceLock;
 
 use evermap_messages::annotation::{Anchor, Annotation, Geometry};
 use evermap_recording::annotations::AnnotationLog;
 use evermap_tests::asked::AskedStreet;
-use evermap_tests::{DrivePose, Finished, command, evermap, rows_of, text, write_drive};
+use evermap_tests::park::{copy, made_once};
+use evermap_tests::{
+    DrivePose, Finished, command, evermap, rows_of, run_of_site, text, write_drive,
+};
 use serde_json::{Value, json};
 
 /// A straight drive at 2 m/s whose odometry measures a metre as so many.
@@ -18,7 +22,7 @@ fn straight(scale: f64) -> Vec<DrivePose> {
     (0..=150).map(pose).collect()
 }
 
-/// A folder with a map in it of one drive, `a`.
+/// A folder for a map of one drive, `a`.
 struct Lot {
     folder: tempfile::TempDir,
 }
@@ -30,6 +34,22 @@ impl Lot {
         };
         write_drive(&lot.path("a.mcap"), straight(1.0));
         lot
+    }
+
+    /// With a copy of the first version of such a map, which the tests share, as they do the log of its drive: it is not to be
+    /// changed.
+    fn mapped() -> Self {
+        static MAP: OnceLock<PathBuf> = OnceLock::new();
+        let map = MAP.get_or_init(|| {
+            let folder = made_once(env!("CARGO_TARGET_TMPDIR"), "labels");
+            let (drive, map) = (folder.join("a.mcap"), folder.join("map"));
+            write_drive(&drive, straight(1.0));
+            run_of_site("labels", &map, "lot", &["--sessions", text(&drive)]).expect(0);
+            map
+        });
+        let folder = tempfile::tempdir().unwrap();
+        copy(map, folder.path(), "map");
+        Self { folder }
     }
 
     fn path(&self, name: &str) -> PathBuf {
@@ -220,8 +240,7 @@ fn line(points: &[[f64; 2]]) -> Value {
 
 #[test]
 fn what_is_drawn_moved_and_removed_with_other_programs_comes_back() {
-    let lot = Lot::new();
-    lot.run(&["a.mcap"]).expect(0);
+    let lot = Lot::mapped();
     let arrow = line(&[[8.0, 0.0], [10.0, 0.0]]);
     let drawn = collection(&[
         ("one", space(5.0, 2.0)),
@@ -308,8 +327,7 @@ fn what_is_drawn_moved_and_removed_with_other_programs_comes_back() {
 /// As `to_json` of GeoPandas writes features: the number of the row is the id of each.
 #[test]
 fn numbers_of_rows_are_no_names_of_labels() {
-    let lot = Lot::new();
-    lot.run(&["a.mcap"]).expect(0);
+    let lot = Lot::mapped();
     let drawn = collection(&[("one", space(5.0, 2.0)), ("two", space(10.0, 2.0))]);
     lot.import("ada", &drawn, &SPACE).expect(0);
     lot.run(&["ada.mcap"]).expect(0);
@@ -332,8 +350,7 @@ fn numbers_of_rows_are_no_names_of_labels() {
 
 #[test]
 fn two_people_who_disagree_are_counted_and_the_later_holds() {
-    let lot = Lot::new();
-    lot.run(&["a.mcap"]).expect(0);
+    let lot = Lot::mapped();
     let mut labels = collection(&[("one", space(5.0, 2.0)), ("two", space(10.0, 2.0))]);
     lot.import("ada", &labels, &SPACE).expect(0);
     lot.run(&["ada.mcap"]).expect(0);
@@ -361,8 +378,7 @@ fn two_people_who_disagree_are_counted_and_the_later_holds() {
 /// What a feature says of the image that shows it goes before the pose that is nearest.
 #[test]
 fn a_feature_that_names_an_image_is_tied_to_it() {
-    let lot = Lot::new();
-    lot.run(&["a.mcap"]).expect(0);
+    let lot = Lot::mapped();
     let first = "SELECT CAST(stamp AS BIGINT) AS stamp, map_from_vehicle['x'] AS x FROM poses ORDER BY stamp LIMIT 1";
     let first = lot.ask(first)[0].clone();
     let mut people = collection(&[("one", space(20.0, 2.0)), ("two", space(20.0, 2.0))]);
@@ -411,8 +427,7 @@ fn a_feature_that_names_an_image_is_tied_to_it() {
 /// In UTM, or 5 km from the image that is to show it: what covers the labels would cover all in between.
 #[test]
 fn what_lies_kilometres_away_is_refused_left_out_and_can_be_removed() {
-    let lot = Lot::new();
-    lot.run(&["a.mcap"]).expect(0);
+    let lot = Lot::mapped();
     let mut drawn_far = collection(&[
         ("utm", space(500_000.0, 5_540_000.0)),
         ("seen", space(300.0, 2.0)),
@@ -456,8 +471,7 @@ fn what_lies_kilometres_away_is_refused_left_out_and_can_be_removed() {
 /// Somebody with two windows open, who says two things in each; of one label something else.
 #[test]
 fn an_author_twice_at_once_loses_nothing() {
-    let lot = Lot::new();
-    lot.run(&["a.mcap"]).expect(0);
+    let lot = Lot::mapped();
     let said = [
         collection(&[("one", space(5.0, 2.0)), ("two", space(10.0, 2.0))]),
         collection(&[("one", space(5.5, 2.0)), ("three", space(15.0, 2.0))]),
@@ -486,8 +500,7 @@ fn an_author_twice_at_once_loses_nothing() {
 
 #[test]
 fn what_makes_no_sense_is_counted_and_said_and_the_rest_is_kept() {
-    let lot = Lot::new();
-    lot.run(&["a.mcap"]).expect(0);
+    let lot = Lot::mapped();
     let tie =
         json!({ "type": "Polygon", "coordinates": [[[0, 2], [2, 4], [2, 2], [0, 4], [0, 2]]] });
     let hole = json!({ "type": "Polygon", "coordinates": [space(0.0, 2.0)["coordinates"][0], [[1, 3], [2, 3], [2, 4]]] });
@@ -560,8 +573,7 @@ fn what_makes_no_sense_is_counted_and_said_and_the_rest_is_kept() {
 
 #[test]
 fn a_kind_of_its_own_goes_first_and_one_that_contradicts_is_left_out() {
-    let lot = Lot::new();
-    lot.run(&["a.mcap"]).expect(0);
+    let lot = Lot::mapped();
     let mut labels = collection(&[("one", space(5.0, 2.0)), ("two", space(10.0, 2.0))]);
     labels["features"][1]["properties"]["kind"] = "crossing".into();
     let said = lot.import("ada", &labels, &SPACE).expect(3);
@@ -618,8 +630,7 @@ fn a_kind_of_its_own_goes_first_and_one_that_contradicts_is_left_out() {
 
 #[test]
 fn a_torn_log_is_read_as_far_as_it_goes_and_gone_on_from() {
-    let lot = Lot::new();
-    lot.run(&["a.mcap"]).expect(0);
+    let lot = Lot::mapped();
     let labels = collection(&[("one", space(5.0, 2.0)), ("two", space(10.0, 2.0))]);
     lot.import("ada", &labels, &SPACE).expect(0);
     let whole = std::fs::read(lot.path("ada.mcap")).unwrap();
@@ -647,8 +658,7 @@ fn a_torn_log_is_read_as_far_as_it_goes_and_gone_on_from() {
 
 #[test]
 fn labels_of_a_session_that_the_map_does_not_have_are_counted_and_kept() {
-    let lot = Lot::new();
-    lot.run(&["a.mcap"]).expect(0);
+    let lot = Lot::mapped();
     let labels = collection(&[("one", space(5.0, 2.0))]);
     lot.import("ada", &labels, &SPACE).expect(0);
     // Another map of the same place, without the session that the label is tied to.
@@ -742,8 +752,7 @@ fn mosaic(lot: &Lot) -> PathBuf {
 
 #[test]
 fn boxes_drawn_on_a_mosaic_are_where_they_were_drawn() {
-    let lot = Lot::new();
-    lot.run(&["a.mcap"]).expect(0);
+    let lot = Lot::mapped();
     let mosaic = mosaic(&lot);
     let coco = json!({
         "images": [{ "id": 7, "file_name": "mosaic.png", "width": 400, "height": 200 }],
@@ -814,8 +823,7 @@ fn boxes_drawn_on_a_mosaic_are_where_they_were_drawn() {
 
 #[test]
 fn annotations_of_another_picture_are_refused_and_nothing_is_said() {
-    let lot = Lot::new();
-    lot.run(&["a.mcap"]).expect(0);
+    let lot = Lot::mapped();
     let mosaic = mosaic(&lot);
     let coco = |name: &str, width: u32| {
         json!({
@@ -868,8 +876,7 @@ fn rounded(text: &str, digits: usize) -> String {
 /// Labels go to other programs, which round what they keep and may forget names, and come back: nothing new is said.
 #[test]
 fn what_goes_to_other_programs_comes_back_as_it_was() {
-    let lot = Lot::new();
-    lot.run(&["a.mcap"]).expect(0);
+    let lot = Lot::mapped();
     let mosaic = mosaic(&lot);
     let (sin, cos) = 0.4_f64.sin_cos();
     let corner = |[along, across]: [f64; 2]| {
