@@ -4,6 +4,7 @@ use std::io::{BufRead, BufReader};
 use std::net::TcpListener;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
+use std::sync::OnceLock;
 use std::sync::atomic::{AtomicU16, Ordering};
 use std::time::{Duration, Instant};
 
@@ -11,6 +12,7 @@ use rand::SeedableRng;
 use rand::seq::SliceRandom;
 use rand_chacha::ChaCha8Rng;
 
+use evermap_tests::park::made_once;
 use evermap_tests::{
     command, command_that_hangs_up, evermap, layers_of, rectangle, text, write_drive,
 };
@@ -145,6 +147,13 @@ fn sessions(folder: &Path, count: usize, loops: f64) -> Vec<PathBuf> {
     (0..count).map(write).collect()
 }
 
+/// So many of a dozen sessions that take a while, which the tests share.
+fn long_sessions(count: usize) -> Vec<PathBuf> {
+    static LONG: OnceLock<Vec<PathBuf>> = OnceLock::new();
+    let made = || sessions(&made_once(env!("CARGO_TARGET_TMPDIR"), "cluster"), 12, 40.0);
+    LONG.get_or_init(made)[..count].to_vec()
+}
+
 /// The plan of a run that is of no plan in particular.
 const PLAN: &str = "trajectory";
 
@@ -187,7 +196,7 @@ fn a_pool_a_cluster_within_and_a_cluster_of_processes_make_equal_layers() {
 #[test]
 fn a_cluster_within_a_process_leaves_no_temporary_files_and_takes_those_that_a_killed_one_left() {
     let folder = tempfile::tempdir().unwrap();
-    let sessions = sessions(folder.path(), 4, 40.0);
+    let sessions = long_sessions(4);
     let cluster = Cluster::new();
     let within = |name: &str| cluster.within(&folder.path().join(name), &sessions);
     let killed = begin(&mut within("killed"));
@@ -371,7 +380,7 @@ const HANGING: &str = "20";
 #[test]
 fn a_run_whose_only_executor_hangs_ends_at_its_deadline_and_nothing_runs_later() {
     let folder = tempfile::tempdir().unwrap();
-    let sessions = sessions(folder.path(), 12, 40.0);
+    let sessions = long_sessions(12);
     let cluster = Cluster::new();
     let _scheduler = cluster.scheduler();
     let executor = cluster.executor();
@@ -492,7 +501,7 @@ fn a_unit_that_takes_longer_than_the_deadline_is_begun_once_and_found_by_the_nex
 #[test]
 fn an_executor_that_stops_answering_is_given_up() {
     let folder = tempfile::tempdir().unwrap();
-    let sessions = sessions(folder.path(), 8, 40.0);
+    let sessions = long_sessions(8);
     let local = folder.path().join("local");
     evermap(&arguments(PLAN, &local, &sessions)).expect(0);
     let cluster = Cluster::new();
@@ -537,7 +546,7 @@ fn receipts_in_the_end(map: &Path) -> usize {
 #[test]
 fn what_a_stopped_or_killed_run_has_not_begun_is_not_begun_any_more() {
     let folder = tempfile::tempdir().unwrap();
-    let sessions = sessions(folder.path(), 12, 40.0);
+    let sessions = long_sessions(12);
     let cluster = Cluster::new();
     let _scheduler = cluster.scheduler();
     let _executor = cluster.executor();
@@ -573,7 +582,7 @@ fn what_a_stopped_or_killed_run_has_not_begun_is_not_begun_any_more() {
 #[test]
 fn a_run_whose_executors_have_all_died_says_so_and_goes_on_with_the_next() {
     let folder = tempfile::tempdir().unwrap();
-    let sessions = sessions(folder.path(), 6, 40.0);
+    let sessions = long_sessions(6);
     let cluster = Cluster::new();
     let _scheduler = cluster.scheduler();
     let executor = cluster.executor();
