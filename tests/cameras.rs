@@ -253,18 +253,65 @@ fn samples_are_read_in_the_order_of_bytes_that_their_message_says() {
     assert_eq!(big, little);
 }
 
-#[test]
-fn images_of_fewer_bits_than_their_samples_are_counted() {
-    let logs = Logs::new();
+/// An image of 16 bits a pixel, of which the upper four are never used: it is counted.
+fn faint() -> Value {
     let twelve: Vec<u8> = (0..SIDE * SIDE)
         .flat_map(|at| ((at % 4096) as u16).to_le_bytes())
         .collect();
     let mut faint = image(false);
     faint["data"] = json!(base64(&twelve));
-    let (found, told) = features(&logs, "faint", faint, 3);
+    faint
+}
+
+#[test]
+fn images_of_fewer_bits_than_their_samples_are_counted() {
+    let logs = Logs::new();
+    let (found, told) = features(&logs, "faint", faint(), 3);
     assert_eq!(found, json!([]));
     let said = "camera `front` (mono16) does not decode: expected values that fill their 16 bits, found none above 4095";
     assert!(told.contains(said), "{told}");
+}
+
+#[test]
+fn images_that_several_steps_cannot_read_are_told_once_with_the_steps() {
+    let logs = Logs::new();
+    let plan = logs.path("twice.yaml");
+    let steps = "plan: twice
+steps:
+  images:
+    sql: SELECT site, session, stamp, CAST(0 AS INT UNSIGNED) AS keyframe, camera, image FROM frames
+  features:
+    op: features
+    in: { images: images }
+    with: { scale: 1.0, count: 20, octaves: 0 }
+  few_features:
+    op: features
+    in: { images: images }
+    with: { scale: 1.0, count: 5, octaves: 0 }
+write: [features, few_features]
+";
+    std::fs::write(&plan, steps).unwrap();
+    let images = vec![faint(), image(false), faint()];
+    let log = logs.write("twice.mcap", &[("/front/image", IMAGE, images)]);
+    let map = logs.path("twice");
+    let told = run(text(&plan), &map, &[&log], &[]).expect(3).stderr;
+    for said in [
+        "finished with loss: 2 skipped or lost",
+        "       2  image of camera `front` (mono16) does not decode: expected values that fill their 16 bits",
+        "(told by features and few_features; the largest of their counts)",
+    ] {
+        assert!(told.contains(said), "{said}: {told}");
+    }
+    assert_eq!(told.matches("does not decode").count(), 1, "{told}");
+    // What each step counted is there still.
+    let of_steps = rows_of(
+        &map,
+        "SELECT step, lost FROM runs WHERE lost > 0 ORDER BY step",
+    );
+    let both = ["features", "few_features"].map(|step| json!({"step": step, "lost": 2}));
+    assert_eq!(of_steps, json!(both));
+    let of_version = rows_of(&map, "SELECT lost FROM versions");
+    assert_eq!(of_version, json!([{"lost": 2}]));
 }
 
 /// Range images whose topic does not speak of depth.

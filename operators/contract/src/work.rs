@@ -14,7 +14,8 @@ use crate::kernel::{Kernel, Mapper, Rows};
 use crate::{Emit, Key, Pixels, Port, Reach, Sides};
 
 /// Why a row is skipped: a short phrase, such as `image does not decode`, under which it is counted. It may name cameras
-/// and frames, of which a log has few, and no instants or values, of which it has many.
+/// and frames, of which a log has few, and no instants or values, of which it has many. Whoever leaves the same thing out says
+/// so in the same words: a run tells what several steps say once.
 pub type Reason = Cow<'static, str>;
 
 /// How much a kernel must see at once. It says *where data must be*, not what is computed; the engine turns it into

@@ -32,7 +32,7 @@ record! {
         seconds: f64 ["s"],
         /// When it was done.
         started: evermap_schemas::Stamp ["ns"],
-        /// Inputs that were skipped or lost.
+        /// Inputs that the unit skipped or lost; other units may have counted the same ones.
         lost: u64,
         /// Digest of what the work depends on.
         recipe: String,
@@ -91,7 +91,7 @@ record! {
         sessions: Vec<String>,
         /// Layers in it.
         layers: u32,
-        /// Inputs that were skipped or lost on the way.
+        /// Inputs that were skipped or lost on the way, those that several steps counted once.
         lost: u64,
     }
 }

@@ -113,7 +113,8 @@ pub struct Version {
     pub sessions: Vec<MappedSession>,
     /// Layers by name.
     pub layers: BTreeMap<String, StoredLayer>,
-    /// Everything that was skipped or lost on the way, by reason.
+    /// Everything that was skipped or lost on the way, by reason. What several steps skipped in the same words is counted once,
+    /// with their names.
     pub losses: BTreeMap<String, u64>,
 }
 

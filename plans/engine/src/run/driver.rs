@@ -3,7 +3,6 @@
 use std::collections::BTreeMap;
 use std::sync::Mutex;
 
-use evermap_contract::Losses;
 use evermap_schemas::Fault;
 use futures::StreamExt;
 use futures::stream::SelectAll;
@@ -20,6 +19,7 @@ use crate::run::held::Held;
 use crate::run::mend::{Makers, Mending};
 use crate::run::pending::{Pending, Place};
 use crate::run::runner::{Report, Runner};
+use crate::run::told::Told;
 use crate::run::{Event, Run};
 use crate::unit::Unit;
 
@@ -276,18 +276,21 @@ impl<'r, 'a> Driver<'r, 'a> {
         Ok(layers)
     }
 
-    /// What was skipped or lost: operators' counts summed, a log's counted once however many units read it.
+    /// What was skipped or lost: operators' counts as [`Told`] has them, a log's counted once however many units read it.
     pub fn losses(&self) -> BTreeMap<String, u64> {
-        let mut losses = Losses::default();
-        for (receipt, _) in self.receipts.values() {
-            for (reason, count) in &receipt.skipped {
-                losses.add(reason.clone(), *count);
+        let mut told = Told::default();
+        for unit in &self.units {
+            if let Some((receipt, _)) = self.receipts.get(&unit.place) {
+                told.add(&unit.place, &receipt.skipped);
             }
+        }
+        let mut losses = told.lines();
+        for (receipt, _) in self.receipts.values() {
             for (reason, count) in &receipt.log_losses {
-                let held = losses.0.entry(reason.clone()).or_default();
+                let held = losses.entry(reason.clone()).or_default();
                 *held = (*held).max(*count);
             }
         }
-        losses.0
+        losses
     }
 }

@@ -14,6 +14,7 @@ mod pending;
 mod previous;
 pub mod record;
 pub mod runner;
+mod told;
 
 use evermap_contract::Registry;
 
