@@ -201,7 +201,7 @@ fn rig(
     }
     let mut cameras = Vec::new();
     for (name, shot) in first {
-        let mounted = mounted.ok_or_else(|| rig::uncalibrated(name));
+        let mounted = mounted.ok_or_else(|| rig::uncalibrated(frame(name)));
         match mounted.and_then(|rig| camera(rig, shot, vehicle)) {
             Ok(camera) => cameras.push(camera),
             Err(reason) => {
