@@ -1,5 +1,10 @@
 //! Which frames of a session never move, though topics of moving transforms have them: read from all transforms, unless the
 //! first ones tell that all frames move.
+//!
+//! So topics of transforms are read twice, here and where rows are made. Whether a frame is still, the last transform of
+//! the session says, and all rows of the frame depend on it: whether its first row is fixed, and whether others are there. To
+//! make them in one pass, rows of all frames that are still so far would be held to the end of all files, which are scanned
+//! side by side and in bounded memory.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
