@@ -176,7 +176,9 @@ fn copy_folder(from: &Path, to: &Path) {
     for entry in std::fs::read_dir(from).expect("a map can be read") {
         let entry = entry.expect("a map can be read");
         let (path, target) = (entry.path(), to.join(entry.file_name()));
-        if path.is_dir() {
+        if let Ok(of_map) = std::fs::read_link(&path) {
+            std::os::unix::fs::symlink(of_map, &target).expect("a map can be copied");
+        } else if path.is_dir() {
             copy_folder(&path, &target);
         } else {
             std::fs::copy(&path, &target).expect("a map can be copied");
