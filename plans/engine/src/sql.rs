@@ -42,7 +42,7 @@ use datafusion::error::Result as DataFusionResult;
 use datafusion::execution::runtime_env::{RuntimeEnv, RuntimeEnvBuilder};
 use datafusion::execution::{SessionState, SessionStateBuilder};
 use datafusion::logical_expr::{DescribeTable, LogicalPlan};
-use datafusion::prelude::{DataFrame, SQLOptions, SessionConfig, SessionContext};
+use datafusion::prelude::{DataFrame, SessionConfig, SessionContext};
 use datafusion::sql::parser::Statement;
 use datafusion::sql::sqlparser::ast::{self, DescribeAlias};
 use datafusion::sql::sqlparser::dialect::GenericDialect;
@@ -78,7 +78,7 @@ use crate::sql::written::Written;
 pub use missing::{NO_TABLE, Unlisted, explained, no_table, table_of};
 pub use size::{QUERY_WORDS, STACK_BYTES, check_size};
 pub use term::Term;
-pub use volatile::{OpenValues, volatile_functions};
+pub use volatile::{OpenValues, only_reads, volatile_functions};
 pub use zone::in_utc;
 
 /// What an engine process may use.
@@ -306,15 +306,11 @@ pub async fn read_only(context: &SessionContext, query: &str) -> Result<DataFram
 /// As [`read_only`].
 pub async fn planned(context: &SessionContext, query: &str) -> DataFusionResult<DataFrame> {
     check_size(query, &GenericDialect {}).map_err(external)?;
-    let options = SQLOptions::new()
-        .with_allow_ddl(false)
-        .with_allow_dml(false)
-        .with_allow_statements(false);
     let state = context.state();
     let dialect = state.config().options().sql_parser.dialect;
     let statement = state.sql_to_statement(query, &dialect)?;
     let plan = plan_of(&state, statement).await?;
-    options.verify_plan(&plan)?;
+    only_reads(&plan)?;
     context.execute_logical_plan(plan).await
 }
 

@@ -11,7 +11,6 @@ use arrow::array::RecordBatch;
 use arrow::datatypes::SchemaRef;
 use datafusion::common::TableReference;
 use datafusion::error::DataFusionError;
-use datafusion::execution::context::SQLOptions;
 use datafusion::logical_expr::LogicalPlan;
 use datafusion::prelude::{DataFrame, SessionContext};
 use datafusion::sql::parser::{DFParserBuilder, Statement};
@@ -24,7 +23,8 @@ use evermap_engine::map::Map;
 use evermap_engine::map::columns::{of_answer, of_table};
 use evermap_engine::run::runner::Unfinished;
 use evermap_engine::sql::{
-    Limits, NO_TABLE, OpenValues, TABLES, catalog, check_size, context, explained, in_utc, plan_of,
+    Limits, NO_TABLE, OpenValues, TABLES, catalog, check_size, context, explained, in_utc,
+    only_reads, plan_of,
 };
 use evermap_functions::{asks_graphs, use_indexes};
 use evermap_language::listed;
@@ -312,11 +312,7 @@ fn described_table(statement: &Statement) -> Option<String> {
 
 /// Queries read: they make no tables, write no files, and change no settings. Output goes where `--out` says.
 fn read_only(plan: &LogicalPlan) -> Result<(), Fault> {
-    let allowed = SQLOptions::new()
-        .with_allow_ddl(false)
-        .with_allow_dml(false)
-        .with_allow_statements(false);
-    allowed.verify_plan(plan).map_err(|error| {
+    only_reads(plan).map_err(|error| {
         let found = error.strip_backtrace();
         let found = found.rsplit(": ").next().unwrap_or_default();
         Fault::user(format!("expected a query that only reads, found {found}"))

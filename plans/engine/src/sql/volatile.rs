@@ -1,13 +1,26 @@
-//! What keeps rows from following from what a plan reads alone: functions that answer differently from call to call, and
-//! values that nobody gives.
+//! What keeps rows from following from what a plan reads alone: what changes something, functions that answer differently
+//! from call to call, and values that nobody gives.
 
 use std::collections::BTreeSet;
 use std::fmt;
 
 use datafusion::common::tree_node::{TreeNode, TreeNodeRecursion};
-use datafusion::error::DataFusionError;
+use datafusion::error::{DataFusionError, Result as DataFusionResult};
+use datafusion::execution::context::SQLOptions;
 use datafusion::logical_expr::{Expr, LogicalPlan, Volatility};
 use evermap_schemas::Fault;
+
+/// Refuses what would change a table, a file or a setting.
+///
+/// # Errors
+/// What DataFusion says of it.
+pub fn only_reads(plan: &LogicalPlan) -> DataFusionResult<()> {
+    let allowed = SQLOptions::new()
+        .with_allow_ddl(false)
+        .with_allow_dml(false)
+        .with_allow_statements(false);
+    allowed.verify_plan(plan)
+}
 
 /// Names of the functions in a query that give other rows when it is asked again: `random`, `uuid`, `now` …
 pub fn volatile_functions(plan: &LogicalPlan) -> Vec<String> {

@@ -5,7 +5,6 @@ use std::sync::Arc;
 use async_trait::async_trait;
 use datafusion::common::ParamValues;
 use datafusion::error::DataFusionError;
-use datafusion::execution::context::SQLOptions;
 use datafusion::logical_expr::LogicalPlan;
 use datafusion::prelude::{DataFrame, SessionContext};
 use datafusion::sql::parser::Statement as Parsed;
@@ -19,7 +18,7 @@ use datafusion_postgres::hooks::cursor::CursorStatementHook;
 use datafusion_postgres::hooks::set_show::SetShowHook;
 use datafusion_postgres::hooks::transactions::TransactionStatementHook;
 use evermap_engine::error::fault_of;
-use evermap_engine::sql::{explained, plan_of};
+use evermap_engine::sql::{explained, only_reads, plan_of};
 use pgwire::api::ClientInfo;
 use pgwire::api::portal::Format;
 use pgwire::api::results::{FieldFormat, QueryResponse, Response, Tag};
@@ -283,11 +282,7 @@ async fn planned(statement: Statement, context: &SessionContext) -> PgWireResult
     let state = context.state();
     let plan = aside(async move {
         let plan = plan_of(&state, parsed).await?;
-        let allowed = SQLOptions::new()
-            .with_allow_ddl(false)
-            .with_allow_dml(false)
-            .with_allow_statements(false);
-        allowed.verify_plan(&plan)?;
+        only_reads(&plan)?;
         without_bytes(as_extended(as_json(as_texts(with_types(plan)?)?)?)?)
     });
     let plan = plan.await.map_err(|fault| said(&fault))?;
