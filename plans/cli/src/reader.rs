@@ -141,6 +141,26 @@ impl MapReader {
         }
         self.rows(site).await
     }
+
+    /// All rows of the layer of this name that are of a site; none where the map has no such layer.
+    ///
+    /// # Errors
+    /// As [`MapReader::needed_in`].
+    pub async fn rows_in<T: LayerRow>(&self, layer: &str, site: &str) -> Result<Vec<T>, Fault> {
+        match self.map.has(layer) {
+            true => self.needed_in(layer, site).await,
+            false => Ok(Vec::new()),
+        }
+    }
+
+    /// As [`MapReader::rows_in`], of a layer that must be there.
+    ///
+    /// # Errors
+    /// As [`Map::batches`], and for a layer that has other columns.
+    pub async fn needed_in<T: LayerRow>(&self, layer: &str, site: &str) -> Result<Vec<T>, Fault> {
+        let batches = only(&self.map.batches(layer).await?, "site", site)?;
+        typed(&batches).map_err(|fault| fault.at(format!("layer {layer}")))
+    }
 }
 
 /// The answer to a query.

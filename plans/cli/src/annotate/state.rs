@@ -16,13 +16,13 @@ use evermap_language::nearest;
 use evermap_schemas::layers::{
     Keyframe, LabelAnchor, MapFrame, PersonQuestion, PlacedLabel, VehiclePose,
 };
-use evermap_schemas::roles::{Anchor, Annotation, Calibration, ImageAnnotation, Transform};
+use evermap_schemas::roles::{Anchor, Annotation, ImageAnnotation};
 use evermap_schemas::{Fault, LayerRow, Stamp};
 
 use super::Losses;
 use super::features::Feature;
 use super::known::KnownLabels;
-use crate::reader::{MapReader, answered, one_site, only, typed};
+use crate::reader::{MapReader, answered, one_site, typed};
 use crate::sessions;
 use crate::shown::Picture;
 
@@ -74,15 +74,15 @@ impl State {
             return Err(without_poses());
         }
         let site = one_site(sites, site)?;
-        let mut acts: Vec<Annotation> = layer(reader, SAID, &site).await?;
+        let mut acts: Vec<Annotation> = reader.rows_in(SAID, &site).await?;
         acts.extend(from_logs(logs, &site, losses).await?);
         let frames: Vec<MapFrame> = reader.rows(Some(&site)).await?;
         let landmarks: Vec<Obstacle> = reader.rows(Some(&site)).await?;
         let mut map = MapRows {
             poses,
             frames,
-            calibration: layer::<Calibration>(reader, "cameras", &site).await?,
-            transforms: layer::<Transform>(reader, "mounts", &site).await?,
+            calibration: reader.rows_in("cameras", &site).await?,
+            transforms: reader.rows_in("mounts", &site).await?,
             landmarks: landmarks.iter().map(|row| [row.x, row.y, row.z]).collect(),
         };
         map.poses.retain(|pose| pose.site == site);
@@ -243,19 +243,10 @@ pub async fn painted(
     site: &str,
     logs: &[PathBuf],
 ) -> Result<Vec<ImageAnnotation>, Fault> {
-    let mut acts: Vec<ImageAnnotation> = layer(reader, PAINTED, site).await?;
+    let mut acts: Vec<ImageAnnotation> = reader.rows_in(PAINTED, site).await?;
     // What logs lose is told where their other acts are read.
     acts.extend(from_logs(logs, site, &mut Losses::default()).await?);
     Ok(acts)
-}
-
-/// The rows of a layer of this name; none where the map has no such layer.
-async fn layer<T: LayerRow>(reader: &MapReader, name: &str, site: &str) -> Result<Vec<T>, Fault> {
-    match reader.map.has(name) {
-        true => typed(&only(&reader.map.batches(name).await?, "site", site)?)
-            .map_err(|fault| fault.at(format!("layer {name}"))),
-        false => Ok(Vec::new()),
-    }
 }
 
 /// The rows of a role that logs have, as read by a run; what of them is lost is noted.

@@ -11,13 +11,13 @@ use arrow::array::RecordBatch;
 use evermap_algorithms::geometry::camera::{Camera, Model};
 use evermap_algorithms::geometry::pose::Pose;
 use evermap_algorithms::geometry::rig::Rig;
+use evermap_schemas::Fault;
 use evermap_schemas::layers::{AdjustedPose, Features, Landmark};
 use evermap_schemas::roles::{Calibration, Transform};
-use evermap_schemas::{Fault, LayerRow};
 
 use crate::ending::Failure;
 use crate::output::write_file;
-use crate::reader::{MapReader, one_site, only, typed};
+use crate::reader::{MapReader, one_site, typed};
 
 /// From the centre of the first pixel at (0, 0) to that at (0.5, 0.5).
 const CORNER: f64 = 0.5;
@@ -61,8 +61,8 @@ async fn gather(
     let site = one_site(poses.iter().map(|row| row.site.as_str()), site)?;
     poses.sort_by(|a, b| (&a.session, a.stamp).cmp(&(&b.session, b.stamp)));
     let features: Vec<Features> = reader.needed(Some(&site)).await?;
-    let calibration: Vec<Calibration> = from_logs(reader, "cameras", &site).await?;
-    let transforms: Vec<Transform> = from_logs(reader, "mounts", &site).await?;
+    let calibration: Vec<Calibration> = reader.needed_in("cameras", &site).await?;
+    let transforms: Vec<Transform> = reader.needed_in("mounts", &site).await?;
     let vehicle = reader.vehicle(&site).await?;
     let sizes = features.iter().map(without_content).collect();
     Ok(Parts {
@@ -71,15 +71,6 @@ async fn gather(
         landmarks: reader.needed(Some(&site)).await?,
         features,
     })
-}
-
-/// The rows of a layer that a plan took from the logs.
-async fn from_logs<T: LayerRow>(
-    reader: &MapReader,
-    layer: &str,
-    site: &str,
-) -> Result<Vec<T>, Fault> {
-    typed(&only(&reader.map.batches(layer).await?, "site", site)?)
 }
 
 fn without_content(row: &Features) -> Features {

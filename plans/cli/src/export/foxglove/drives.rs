@@ -7,7 +7,7 @@ use evermap_algorithms::geometry::pose::{Pose as Rigid, PoseError};
 use evermap_catalog::{Footing, footing};
 use evermap_schemas::layers::{Keyframe, Person, VehiclePose};
 use evermap_schemas::roles::{Calibration, Transform, frame_names};
-use evermap_schemas::{Fault, ImageRef, LayerRow, Pose};
+use evermap_schemas::{Fault, ImageRef, Pose};
 use foxglove::messages::points_annotation::Type as Outline;
 use foxglove::messages::{
     CameraCalibration, CompressedImage, FrameTransform, ImageAnnotations, LocationFix, Point2,
@@ -17,7 +17,7 @@ use foxglove::messages::{
 use super::messages::{MAP, VERMILION, color, pose, rotation, time, vector};
 use super::{Said, What};
 use crate::earth::{Earth, SiteOnEarth};
-use crate::reader::{MapReader, only, typed};
+use crate::reader::MapReader;
 
 /// What an image is recorded as.
 pub(super) type Picture = CompressedImage;
@@ -59,8 +59,8 @@ pub(super) async fn said(
     for row in poses {
         sessions.entry(row.session.clone()).or_default().push(row);
     }
-    let mounts: Vec<Transform> = from_logs(reader, "mounts", site).await?;
-    let cameras: Vec<Calibration> = from_logs(reader, "cameras", site).await?;
+    let mounts: Vec<Transform> = reader.rows_in("mounts", site).await?;
+    let cameras: Vec<Calibration> = reader.rows_in("cameras", site).await?;
     let earth = Earth::of(reader).await?;
     let vehicle = reader.vehicle(site).await?;
     let mut all = Vec::new();
@@ -110,18 +110,6 @@ pub(super) async fn said(
     let people: Vec<Person> = reader.rows(Some(site)).await?;
     all.extend(annotations(people, is_driven)?);
     Ok(all)
-}
-
-/// The rows of a layer that a plan took from the logs; none where the map has none.
-async fn from_logs<T: LayerRow>(
-    reader: &MapReader,
-    layer: &str,
-    site: &str,
-) -> Result<Vec<T>, Fault> {
-    match reader.map.has(layer) {
-        true => typed(&only(&reader.map.batches(layer).await?, "site", site)?),
-        false => Ok(Vec::new()),
-    }
 }
 
 /// A frame of a session's vehicle.
