@@ -7,6 +7,7 @@ use askama::Template;
 use datafusion::prelude::SessionContext;
 use evermap_contract::Registry;
 use evermap_datasets::{Dataset, Session};
+use evermap_language::wrapped;
 use evermap_schemas::{Fault, roles};
 
 use crate::coordinate_frames::{CoordinateFrames, image_size};
@@ -79,7 +80,7 @@ pub async fn written(
         let (doc, default) = parameter(&registry, name)?;
         Some(Parameter {
             name,
-            doc: folded(&doc),
+            doc: wrapped(&doc, WIDTH),
             example: match (name, example) {
                 (MASK, _) => mask.clone(),
                 (_, example) => example.map_or(default, str::to_owned),
@@ -91,7 +92,7 @@ pub async fn written(
         sessions: dataset.sessions.iter().map(session).collect(),
         roles: roles_of(dataset),
         vehicle: frames.vehicle().map(yaml),
-        vehicle_doc: folded(&vehicle_doc.unwrap_or_default().0),
+        vehicle_doc: wrapped(&vehicle_doc.unwrap_or_default().0, WIDTH),
         names: frames.names().into_iter().map(str::to_owned).collect(),
         robots: frames.robots.iter().map(|frame| yaml(frame)).collect(),
         parameters: OF_VEHICLE.into_iter().filter_map(named).collect(),
@@ -171,22 +172,6 @@ fn parameter(registry: &Registry, name: &str) -> Option<(String, String)> {
     })
 }
 
-/// Text in lines.
-fn folded(text: &str) -> Vec<String> {
-    let mut lines = vec![String::new()];
-    for word in text.split_whitespace() {
-        match lines.last_mut() {
-            Some(line) if line.is_empty() => line.push_str(word),
-            Some(line) if line.chars().count() + word.chars().count() < WIDTH => {
-                line.push(' ');
-                line.push_str(word);
-            }
-            _ => lines.push(word.to_owned()),
-        }
-    }
-    lines
-}
-
 /// Text as YAML takes it for text: as it is where nothing in it could mean anything else, else as JSON has it.
 fn yaml(text: &str) -> String {
     let plain = |c: char| c.is_ascii_alphanumeric() || "/_.-:".contains(c);
@@ -247,7 +232,7 @@ mod tests {
     #[test]
     fn text_is_folded_between_words() {
         let words = "word ".repeat(60);
-        let lines = folded(&words);
+        let lines = wrapped(&words, WIDTH);
         assert_eq!(lines.len(), 3);
         assert_eq!(lines.join(" "), words.trim());
     }

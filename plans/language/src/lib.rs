@@ -60,6 +60,7 @@ pub use manifest::{entry_place, role_places};
 pub use plan::{
     Body, DEFAULT_TOLERANCE, Grain, Input, ManifestPath, Plan, PlanTest, PythonStep, Row, Step,
 };
+pub use print::wrapped;
 pub use suggest::{listed, nearest};
 pub use vocabulary::{Host, OperatorSpec, ParameterFault, PortSpec, QueryFault, Vocabulary};
 

@@ -123,17 +123,17 @@ fn block(text: &str, indent: usize) -> String {
     let margin = format!("\n{}", " ".repeat(indent));
     let is_long = lines.chars().count() > WIDEST;
     if is_long && !lines.contains('\n') && !lines.contains("  ") {
-        return format!(">{end}{margin}{}", wrapped(lines).join(&margin));
+        return format!(">{end}{margin}{}", wrapped(lines, WIDEST).join(&margin));
     }
     format!("|{end}{margin}{}", lines.replace('\n', &margin))
 }
 
-/// The words of a text in lines that are not wider than [`WIDEST`], unless a word is.
-fn wrapped(text: &str) -> Vec<String> {
+/// The words of a text in lines that are not wider than so many letters, unless a word is.
+pub fn wrapped(text: &str, widest: usize) -> Vec<String> {
     let mut lines: Vec<String> = Vec::new();
-    for word in text.split(' ') {
+    for word in text.split_whitespace() {
         match lines.last_mut() {
-            Some(line) if line.chars().count() + 1 + word.chars().count() <= WIDEST => {
+            Some(line) if line.chars().count() + 1 + word.chars().count() <= widest => {
                 line.push(' ');
                 line.push_str(word);
             }
