@@ -19,6 +19,9 @@ use crate::session::LogPart;
 /// Memory that reading them takes at most: chunks that do not fit are read by portions.
 const BYTES: usize = 64 << 20;
 
+/// Messages that are looked at together, where all of a topic may be.
+pub(super) const AT_ONCE: usize = 1024;
+
 /// The rows that a topic's messages in a file become, from so many messages at a time.
 pub(super) fn batches<T: LayerRow>(
     messages: Messages,

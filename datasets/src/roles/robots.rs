@@ -12,12 +12,9 @@ use tokio::sync::OnceCell;
 use crate::fault::OrFault;
 use crate::losses::{Loss, Reason};
 use crate::manifest::Vehicle;
-use crate::roles::ahead::batches;
+use crate::roles::ahead::{AT_ONCE, batches};
 use crate::roles::rows::{Known, Meant};
 use crate::session::{LogPart, Session};
-
-/// Messages that are looked at together.
-const AT_ONCE: usize = 1024;
 
 /// The robots that are meant, by session.
 #[derive(Debug)]

@@ -15,12 +15,9 @@ use futures::TryStreamExt;
 use tokio::sync::OnceCell;
 
 use crate::fault::OrFault;
-use crate::roles::ahead::batches;
+use crate::roles::ahead::{AT_ONCE, batches};
 use crate::roles::rows::Known;
 use crate::session::{LogPart, Session};
-
-/// Messages that are looked at together.
-const AT_ONCE: usize = 1024;
 
 /// All frames that a topic has are among so many of its transforms in a file, if none of these is still.
 const ENOUGH: usize = 10_000;

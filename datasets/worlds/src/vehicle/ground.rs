@@ -9,7 +9,7 @@ use nalgebra::{UnitQuaternion, Vector3};
 /// Distance between the axles, metres.
 const WHEELBASE_M: f64 = 2.6;
 /// Distance between the wheels of an axle, metres.
-const TRACK_M: f64 = 1.55;
+pub(super) const TRACK_M: f64 = 1.55;
 
 /// A floor hinged along a line of constant y, where it is lowest (z = 0).
 #[derive(Debug, Clone, Copy, PartialEq)]

@@ -2,6 +2,7 @@
 //! the software believes, and a heading that slowly leans.
 
 use super::Trajectory;
+use super::ground::TRACK_M;
 use crate::plane::Pose2;
 use crate::random::{nanoseconds, normal, stream};
 use evermap_messages::ros2::Odometry;
@@ -10,8 +11,6 @@ use rand::Rng;
 use rand_chacha::ChaCha8Rng;
 use serde::Serialize;
 
-/// Distance between the wheels, metres.
-const TRACK_M: f64 = 1.55;
 /// Distance rolled per tick of a wheel sensor, metres.
 const TICK_M: f64 = 0.004;
 
