@@ -11,10 +11,8 @@ use evermap_language::wrapped;
 use evermap_schemas::{Fault, roles};
 
 use crate::coordinate_frames::{CoordinateFrames, image_size};
+use crate::masks::MASK;
 use crate::operators;
-
-/// The parameter whose example is of the logs at hand.
-const MASK: &str = "mask";
 
 /// Parameters that are about the vehicle and not about a plan, each with an example where its default is none.
 const OF_VEHICLE: [(&str, Option<&str>); 5] = [

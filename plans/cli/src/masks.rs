@@ -13,7 +13,7 @@ use serde_json::Value;
 use crate::coordinate_frames::{IMAGES, cameras_of};
 
 /// The parameter of operators that has a mask for each camera, and what stands for all cameras.
-const MASK: &str = "mask";
+pub(crate) const MASK: &str = "mask";
 const ALL: &str = "*";
 
 /// The cameras that the masks of a program are for, by name.

@@ -15,12 +15,10 @@ use evermap_schemas::Fault;
 use evermap_schemas::layers::{AdjustedPose, Features, Landmark};
 use evermap_schemas::roles::{Calibration, Transform};
 
+use crate::annotate::person_images::CORNER;
 use crate::ending::Failure;
 use crate::output::write_file;
 use crate::reader::{MapReader, one_site, typed};
-
-/// From the centre of the first pixel at (0, 0) to that at (0.5, 0.5).
-const CORNER: f64 = 0.5;
 
 /// What a model is made of, of one site.
 struct Parts {
