@@ -31,6 +31,11 @@ pub fn same(one: &PixelBox, other: &PixelBox) -> Option<f64> {
     (shared >= SAME).then_some(shared)
 }
 
+/// What becomes of the sides of a box, each with its axis: left and right lie along 0, top and bottom along 1.
+fn each_side(of: PixelBox, moved: impl Fn(f64, usize) -> f64) -> PixelBox {
+    [0, 1, 2, 3].map(|side| moved(of[side], side % 2))
+}
+
 /// Height of the ground in the vehicle frame (m), as the steps of a site's map had it; 0 where none says.
 ///
 /// # Errors
@@ -84,14 +89,7 @@ impl<'a> Seen<'a> {
         let mounted =
             mounted.ok_or("box of somebody new, of a camera that the map does not know")?;
         let scale = self.scale([mounted.camera.width, mounted.camera.height]);
-        let [left, top, right, bottom] = *drawn;
-        let pixel = |at: f64, axis: usize| at / scale[axis] - CORNER;
-        let drawn = [
-            pixel(left, 0),
-            pixel(top, 1),
-            pixel(right, 0),
-            pixel(bottom, 1),
-        ];
+        let drawn = each_side(*drawn, |at, axis| at / scale[axis] - CORNER);
         let found = standing(
             &mounted.camera,
             &mounted.vehicle_from_camera,
@@ -113,17 +111,10 @@ impl<'a> Seen<'a> {
             at,
             &self.params,
         );
-        let [left, top, right, bottom] = around?;
-        let pixel = |at: f64, axis: usize| {
+        Some(each_side(around?, |at, axis| {
             let most = f64::from(self.size[axis]);
             ((at + CORNER) * scale[axis]).clamp(0.0, most)
-        };
-        Some([
-            pixel(left, 0),
-            pixel(top, 1),
-            pixel(right, 0),
-            pixel(bottom, 1),
-        ])
+        }))
     }
 
     /// How many pixels of the image are one of the lens: that is the one of images of the calibration's size.
