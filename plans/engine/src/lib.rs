@@ -20,6 +20,7 @@
 pub mod cluster;
 pub mod conform;
 pub mod digest;
+pub mod erased;
 pub mod error;
 mod fingerprint;
 mod locked;

@@ -30,7 +30,8 @@ use datafusion::catalog::SchemaProvider;
 use evermap_engine::error::OrFault;
 use evermap_engine::sql::{TABLES, catalog, read_only};
 use evermap_schemas::{Fault, Kind};
-use futures::{Stream, StreamExt, TryStreamExt};
+use futures::future::BoxFuture;
+use futures::{FutureExt, Stream, StreamExt, TryStreamExt};
 use prost::Message;
 use serde::{Deserialize, Serialize};
 use tonic::{Request, Response, Status, Streaming};
@@ -95,37 +96,47 @@ impl Flight {
     }
 
     /// Plans a query on the newest version: what a ticket says, and the columns as they are sent.
-    async fn plan(&self, map: &ServedMap, query: String) -> Result<(Planned, SchemaRef), Status> {
-        let opened = map.newest().await.map_err(status)?;
-        let turn = self.bounds.turn().await.map_err(status)?;
-        // Drivers compare these columns with those that come: planned to the end, they are the same.
-        let (context, text) = (opened.context.clone(), query.clone());
-        let planned = turn.within(aside(async move {
-            let frame = read_only(&context, &text).await?;
-            frame.create_physical_plan().await.or_fault()
-        }));
-        let planned = planned.await.flatten().flatten();
-        let schema = sent(planned.map_err(status)?.schema());
-        let version = opened.version();
-        Ok((Planned { query, version }, schema))
+    fn plan<'a>(
+        &'a self,
+        map: &'a ServedMap,
+        query: String,
+    ) -> BoxFuture<'a, Result<(Planned, SchemaRef), Status>> {
+        let planned = async move {
+            let opened = map.newest().await.map_err(status)?;
+            let turn = self.bounds.turn().await.map_err(status)?;
+            // Drivers compare these columns with those that come: planned to the end, they are the same.
+            let (context, text) = (opened.context.clone(), query.clone());
+            let planned = turn.within(aside(async move {
+                let frame = read_only(&context, &text).await?;
+                frame.create_physical_plan().await.or_fault()
+            }));
+            let planned = planned.await.flatten().flatten();
+            let schema = sent(planned.map_err(status)?.schema());
+            let version = opened.version();
+            Ok((Planned { query, version }, schema))
+        };
+        planned.boxed()
     }
 
-    async fn rows(&self, map: &ServedMap, planned: &Planned) -> Got<Self> {
-        let opened = map.version(Some(planned.version)).await.map_err(status)?;
-        let answer = answer(&opened, &planned.query, &self.bounds).await;
-        let answer = answer.map_err(status)?;
-        let schema = sent(answer.schema);
-        let columns = Arc::clone(&schema);
-        // The encoder takes large lists for plain ones, and does not make them so.
-        let rows = answer
-            .rows
-            .map(move |batch| Ok::<_, Fault>(with_columns(&columns, &batch?)?));
-        let rows = rows.map_err(|fault| FlightError::Tonic(Box::new(status(fault))));
-        let encoded = FlightDataEncoderBuilder::new()
-            .with_schema(schema)
-            .build(rows)
-            .map_err(Status::from);
-        Ok(Response::new(encoded.boxed()))
+    fn rows<'a>(&'a self, map: &'a ServedMap, planned: &'a Planned) -> BoxFuture<'a, Got<Self>> {
+        let rows = async move {
+            let opened = map.version(Some(planned.version)).await.map_err(status)?;
+            let answer = answer(&opened, &planned.query, &self.bounds).await;
+            let answer = answer.map_err(status)?;
+            let schema = sent(answer.schema);
+            let columns = Arc::clone(&schema);
+            // The encoder takes large lists for plain ones, and does not make them so.
+            let rows = answer
+                .rows
+                .map(move |batch| Ok::<_, Fault>(with_columns(&columns, &batch?)?));
+            let rows = rows.map_err(|fault| FlightError::Tonic(Box::new(status(fault))));
+            let encoded = FlightDataEncoderBuilder::new()
+                .with_schema(schema)
+                .build(rows)
+                .map_err(Status::from);
+            Ok(Response::new(StreamExt::boxed(encoded)))
+        };
+        rows.boxed()
     }
 }
 

@@ -9,6 +9,7 @@ use datafusion::prelude::SessionContext;
 use datafusion_postgres::DfSessionService;
 use datafusion_postgres::datafusion_pg_catalog::pg_catalog::context::EmptyContextProvider;
 use datafusion_postgres::datafusion_pg_catalog::setup_pg_catalog;
+use evermap_engine::erased::{Erased, erased};
 use evermap_engine::error::OrFault;
 use evermap_engine::map::store::Store;
 use evermap_engine::map::version::{FileState, Version};
@@ -16,6 +17,8 @@ use evermap_engine::sql::{Limits, context_on};
 use evermap_functions::use_indexes;
 use evermap_language::{listed, nearest};
 use evermap_schemas::Fault;
+use futures::FutureExt;
+use futures::future::BoxFuture;
 use tokio::sync::Mutex;
 
 use crate::reader::MapReader;
@@ -50,7 +53,7 @@ pub struct ServedMap {
 
 /// A version that is open, and what its file was like before it was.
 struct Kept {
-    opened: Arc<Opened>,
+    opened: Erased<Opened>,
     state: FileState,
 }
 
@@ -139,35 +142,38 @@ impl ServedMap {
     ///
     /// # Errors
     /// A user fault for a map without a version, a resource fault when the store does not answer.
-    pub async fn newest(&self) -> Result<Arc<Opened>, Fault> {
-        let mut number = self.newest.load(Ordering::Acquire);
-        // `gc` forgets versions, and another map may be in the place of this one.
-        let known = self.as_it_was(number).await?;
-        let is_first = known.is_none();
-        if is_first {
-            let latest = Version::latest(&self.store).await?;
-            number = latest.map_or(0, |version| version.version);
-            self.torn.store(0, Ordering::Release);
-        }
-        let torn = |version: u64, fault: Fault| {
-            // Those that there were at first were told when the newest was looked for.
-            if self.is_news(version) && !is_first {
-                tracing::warn!("version {version} is ignored: {fault}");
+    pub fn newest(&self) -> BoxFuture<'_, Result<Erased<Opened>, Fault>> {
+        let newest = async move {
+            let mut number = self.newest.load(Ordering::Acquire);
+            // `gc` forgets versions, and another map may be in the place of this one.
+            let known = self.as_it_was(number).await?;
+            let is_first = known.is_none();
+            if is_first {
+                let latest = Version::latest(&self.store).await?;
+                number = latest.map_or(0, |version| version.version);
+                self.torn.store(0, Ordering::Release);
+            }
+            let torn = |version: u64, fault: Fault| {
+                // Those that there were at first were told when the newest was looked for.
+                if self.is_news(version) && !is_first {
+                    tracing::warn!("version {version} is ignored: {fault}");
+                }
+            };
+            while let (next, Some(_)) = Version::after(&self.store, number, torn).await? {
+                number = next;
+            }
+            self.newest.store(number, Ordering::Release);
+            match (number, known) {
+                (0, _) => self.opened(None).await,
+                (_, Some(known)) if known.version() == number => Ok(known),
+                _ => self.at(number).await,
             }
         };
-        while let (next, Some(_)) = Version::after(&self.store, number, torn).await? {
-            number = next;
-        }
-        self.newest.store(number, Ordering::Release);
-        match (number, known) {
-            (0, _) => self.opened(None).await.map(Arc::new),
-            (_, Some(known)) if known.version() == number => Ok(known),
-            _ => self.at(number).await,
-        }
+        newest.boxed()
     }
 
     /// A version that is open, if it is still what the map has.
-    async fn as_it_was(&self, number: u64) -> Result<Option<Arc<Opened>>, Fault> {
+    async fn as_it_was(&self, number: u64) -> Result<Option<Erased<Opened>>, Fault> {
         if number == 0 {
             return Ok(None);
         }
@@ -187,15 +193,15 @@ impl ServedMap {
     ///
     /// # Errors
     /// As [`ServedMap::newest`], and a user fault for a version that is not there.
-    pub async fn version(&self, number: Option<u64>) -> Result<Arc<Opened>, Fault> {
+    pub fn version(&self, number: Option<u64>) -> BoxFuture<'_, Result<Erased<Opened>, Fault>> {
         match number {
-            Some(number) => self.at(number).await,
-            None => self.newest().await,
+            Some(number) => self.at(number).boxed(),
+            None => self.newest(),
         }
     }
 
     /// A version as it is now: what is open of another one of its number is forgotten.
-    async fn at(&self, number: u64) -> Result<Arc<Opened>, Fault> {
+    async fn at(&self, number: u64) -> Result<Erased<Opened>, Fault> {
         let state = Version::state(&self.store, number).await?;
         let mut open = self.open.lock().await;
         let place = open.iter().position(|kept| kept.opened.version() == number);
@@ -203,7 +209,7 @@ impl ServedMap {
         let known = known.filter(|kept| Some(&kept.state) == state.as_ref());
         let opened = match known {
             Some(kept) => kept.opened,
-            None => Arc::new(self.opened(Some(number)).await?),
+            None => self.opened(Some(number)).await?,
         };
         if let Some(state) = state {
             let opened = Arc::clone(&opened);
@@ -217,7 +223,7 @@ impl ServedMap {
         Ok(opened)
     }
 
-    async fn opened(&self, number: Option<u64>) -> Result<Opened, Fault> {
+    async fn opened(&self, number: Option<u64>) -> Result<Erased<Opened>, Fault> {
         let reader = MapReader::open(&self.address, number).await?;
         let runtime = Arc::clone(&self.runtime);
         let context = reader.context(context_on(&self.name, runtime, self.limits)?)?;
@@ -229,13 +235,13 @@ impl ServedMap {
         complete_catalog(&context);
         complete_types(&context, &self.name).await.or_fault()?;
         let postgres = DfSessionService::new_with_hooks(Arc::new(context.clone()), hooks());
-        Ok(Opened {
+        Ok(erased(Opened {
             opening: self.openings.fetch_add(1, Ordering::AcqRel),
             reader,
             context,
             postgres,
             recordings: Recordings::default(),
-        })
+        }))
     }
 
     /// What opens logs of the map.

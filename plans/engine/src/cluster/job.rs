@@ -7,7 +7,6 @@ use std::sync::Arc;
 
 use arrow::array::{ArrayRef, AsArray, RecordBatch, StringArray};
 use arrow::datatypes::{DataType, Field, Schema};
-use async_trait::async_trait;
 use ballista_core::extension::SessionConfigExt;
 use datafusion::datasource::MemTable;
 use datafusion::error::Result as DataFusionResult;
@@ -20,6 +19,8 @@ use datafusion::physical_plan::ExecutionPlan;
 use datafusion::prelude::{SessionConfig, SessionContext, col};
 use evermap_contract::Registry;
 use evermap_schemas::{Fault, Kind};
+use futures::FutureExt;
+use futures::future::BoxFuture;
 
 use crate::cluster::note;
 use crate::error::{OrFault, external};
@@ -87,6 +88,19 @@ fn run_unit(registry: &Registry) -> ScalarUDF {
 }
 
 impl RunUnit {
+    fn outcomes(&self, args: ScalarFunctionArgs) -> BoxFuture<'_, DataFusionResult<ColumnarValue>> {
+        let outcomes = async move {
+            let texts = ColumnarValue::values_to_arrays(&args.args)?;
+            let mut outcomes = Vec::new();
+            for text in texts.iter().flat_map(|texts| texts.as_string::<i32>()) {
+                let outcome = self.outcome(text.unwrap_or_default()).await;
+                outcomes.push(outcome.map_err(external)?);
+            }
+            Ok(ColumnarValue::Array(Arc::new(StringArray::from(outcomes))))
+        };
+        outcomes.boxed()
+    }
+
     async fn outcome(&self, text: &str) -> Result<String, Fault> {
         let unit: Unit = serde_json::from_str(text).map_err(|error| {
             Fault::bug(format!("a unit does not read: {error}"))
@@ -116,19 +130,17 @@ fn coded(fault: &Fault) -> Fault {
     Fault::new(fault.kind, fault.coded())
 }
 
-#[async_trait]
 impl AsyncScalarUDFImpl for RunUnit {
-    async fn invoke_async_with_args(
-        &self,
+    // Its future is boxed once: `crate::erased`.
+    fn invoke_async_with_args<'a, 'all>(
+        &'a self,
         args: ScalarFunctionArgs,
-    ) -> DataFusionResult<ColumnarValue> {
-        let texts = ColumnarValue::values_to_arrays(&args.args)?;
-        let mut outcomes = Vec::new();
-        for text in texts.iter().flat_map(|texts| texts.as_string::<i32>()) {
-            let outcome = self.outcome(text.unwrap_or_default()).await;
-            outcomes.push(outcome.map_err(external)?);
-        }
-        Ok(ColumnarValue::Array(Arc::new(StringArray::from(outcomes))))
+    ) -> BoxFuture<'all, DataFusionResult<ColumnarValue>>
+    where
+        'a: 'all,
+        Self: 'all,
+    {
+        self.outcomes(args)
     }
 }
 

@@ -5,7 +5,6 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use arrow::datatypes::SchemaRef;
-use async_trait::async_trait;
 use datafusion::catalog::{Session, TableProvider};
 use datafusion::common::Statistics;
 use datafusion::datasource::physical_plan::{FileGroup, FileScanConfig, FileScanConfigBuilder};
@@ -13,6 +12,8 @@ use datafusion::datasource::source::DataSourceExec;
 use datafusion::error::Result;
 use datafusion::logical_expr::{Expr, TableProviderFilterPushDown, TableType};
 use datafusion::physical_plan::ExecutionPlan;
+use futures::FutureExt;
+use futures::future::BoxFuture;
 use object_store::path::Path;
 
 /// The rows of a table of files, those of each so many times.
@@ -44,7 +45,6 @@ impl Repeated {
     }
 }
 
-#[async_trait]
 impl TableProvider for Repeated {
     fn schema(&self) -> SchemaRef {
         self.files.schema()
@@ -61,21 +61,45 @@ impl TableProvider for Repeated {
         self.files.supports_filters_pushdown(filters)
     }
 
-    async fn scan(
-        &self,
-        session: &dyn Session,
-        projection: Option<&Vec<usize>>,
-        filters: &[Expr],
+    // Its future is boxed once: `crate::erased`.
+    fn scan<'a, 'b, 'c, 'd, 'all>(
+        &'a self,
+        session: &'b dyn Session,
+        projection: Option<&'c Vec<usize>>,
+        filters: &'d [Expr],
         _: Option<usize>,
-    ) -> Result<Arc<dyn ExecutionPlan>> {
-        // Without a limit, which would leave files out: it is pushed into the scan later.
-        let plan = self.files.scan(session, projection, filters, None).await?;
-        let scan = plan.downcast_ref::<DataSourceExec>();
-        let config = scan.and_then(|scan| scan.data_source().downcast_ref::<FileScanConfig>());
-        match config {
-            Some(config) => Ok(DataSourceExec::from_data_source(self.repeated(config)?)),
+    ) -> BoxFuture<'all, Result<Arc<dyn ExecutionPlan>>>
+    where
+        'a: 'all,
+        'b: 'all,
+        'c: 'all,
+        'd: 'all,
+        Self: 'all,
+    {
+        self.scanned(session, projection, filters)
+    }
+}
+
+impl Repeated {
+    fn scanned<'a>(
+        &'a self,
+        session: &'a dyn Session,
+        projection: Option<&'a Vec<usize>>,
+        filters: &'a [Expr],
+    ) -> BoxFuture<'a, Result<Arc<dyn ExecutionPlan>>> {
+        let scanned = async move {
+            // Without a limit, which would leave files out: it is pushed into the scan later.
+            let plan = self.files.scan(session, projection, filters, None).await?;
+            let scan = plan.downcast_ref::<DataSourceExec>();
+            let config = scan.and_then(|scan| scan.data_source().downcast_ref::<FileScanConfig>());
             // Of files without rows nothing may be left to scan.
-            None => Ok(plan),
-        }
+            let Some(config) = config else {
+                return Ok(plan);
+            };
+            let repeated: Arc<dyn ExecutionPlan> =
+                DataSourceExec::from_data_source(self.repeated(config)?);
+            Ok(repeated)
+        };
+        scanned.boxed()
     }
 }

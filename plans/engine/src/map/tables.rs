@@ -15,9 +15,12 @@ use evermap_contract::Registry;
 use evermap_language::{listed, nearest};
 use evermap_schemas::dictionary::{ColumnInfo, columns};
 use evermap_schemas::{Fault, Layer, LayerRow, batch, layers};
+use futures::FutureExt;
+use futures::future::BoxFuture;
 use tokio::sync::{Mutex, OnceCell};
 
 use crate::conform::declared;
+use crate::erased::{Erased, erased};
 use crate::error::{OrFault, external};
 use crate::map::artifact::{self, read_files};
 use crate::map::flat;
@@ -35,7 +38,7 @@ pub struct Tables {
     /// The operators that may have made its layers.
     registry: Registry,
     /// Opens tables; it has none itself.
-    reading: SessionContext,
+    reading: Erased<SessionContext>,
     /// The tables by name, those open that were asked for.
     tables: BTreeMap<String, Table>,
 }
@@ -86,7 +89,7 @@ impl std::fmt::Debug for Tables {
 impl Tables {
     /// The tables of a map, opened with the settings and limits of a context.
     pub fn new(map: Map, context: &SessionContext, registry: &Registry) -> Self {
-        let reading = beside(context);
+        let reading = erased(beside(context));
         let mut names = Vec::new();
         for (layer, _) in map.version.published() {
             let declared = declaration(&map, registry, layer);
@@ -124,9 +127,12 @@ impl Tables {
     ///
     /// # Errors
     /// As `Map::at`.
-    pub async fn at(&self, version: u64) -> Result<Self, Fault> {
-        let map = Map::at(self.map.store.clone(), Some(version)).await?;
-        Ok(Self::new(map, &self.reading, &self.registry))
+    pub fn at(&self, version: u64) -> BoxFuture<'_, Result<Self, Fault>> {
+        let opened = async move {
+            let map = Map::at(self.map.store.clone(), Some(version)).await?;
+            Ok(Self::new(map, &self.reading, &self.registry))
+        };
+        opened.boxed()
     }
 
     /// The columns of a table with their units and frames; `None` where there is no such table.
@@ -165,7 +171,7 @@ impl Tables {
         if own_named(name).is_none() {
             self.check(table, self.layer_of(name)).await?;
         }
-        let opened = table.rows.get_or_try_init(|| self.open(name));
+        let opened = table.rows.get_or_try_init(|| self.open(name).boxed());
         opened.await.map(Some)
     }
 

@@ -1,6 +1,7 @@
 #![allow(clippy::unwrap_used)]
 use std::path::Path;
 
+use evermap_engine::erased::Erased;
 use evermap_engine::sql::runtime;
 
 use super::*;
@@ -70,7 +71,7 @@ async fn versions_that_are_gone_and_a_map_made_anew_are_noticed() {
     assert!(gone.contains("no map at"), "{gone}");
     publish(&map, 1, "fewer versions").await;
     let first = newest().await;
-    let of = |opened: &Arc<Opened>| (opened.version(), opened.reader.map.version.plan.clone());
+    let of = |opened: &Erased<Opened>| (opened.version(), opened.reader.map.version.plan.clone());
     assert_eq!(of(&first), (1, "fewer versions".to_owned()));
     assert!(first.opening > third.opening);
     std::fs::remove_dir_all(&map).unwrap();

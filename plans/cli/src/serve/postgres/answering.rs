@@ -12,7 +12,7 @@ use pgwire::messages::PgWireBackendMessage;
 use pgwire::messages::data::DataRow;
 
 use crate::serve::answer::{Size, Turn};
-use crate::serve::postgres::hooks::fault_in_our_words;
+use crate::serve::postgres::reading::fault_in_our_words;
 use crate::serve::postgres::{error, said};
 
 /// Rows that are handed on together: each by itself would cost more on its way than to make.

@@ -19,7 +19,7 @@ use pgwire::api::store::PortalStore;
 use pgwire::error::{PgWireError, PgWireResult};
 
 use crate::serve::postgres::answering::ROWS_AT_ONCE;
-use crate::serve::postgres::hooks::{reading, rows};
+use crate::serve::postgres::reading::{reading, rows};
 use crate::serve::postgres::{Prepared, error};
 
 /// Cursors that one client has open at most: each holds a query that runs.

@@ -2,42 +2,28 @@
 
 use std::sync::Arc;
 
-use async_trait::async_trait;
 use datafusion::common::ParamValues;
-use datafusion::error::DataFusionError;
 use datafusion::logical_expr::LogicalPlan;
-use datafusion::prelude::{DataFrame, SessionContext};
-use datafusion::sql::parser::Statement as Parsed;
+use datafusion::prelude::SessionContext;
 use datafusion::sql::sqlparser::ast::{DiscardObject, Set, Statement};
 use datafusion::sql::sqlparser::dialect::PostgreSqlDialect;
-use datafusion::sql::sqlparser::parser::{Parser, ParserError};
+use datafusion::sql::sqlparser::parser::Parser;
 use datafusion_postgres::QueryHook;
-use datafusion_postgres::arrow_pg::datatypes::df::encode_dataframe;
 use datafusion_postgres::hooks::HookClient;
 use datafusion_postgres::hooks::cursor::CursorStatementHook;
 use datafusion_postgres::hooks::set_show::SetShowHook;
 use datafusion_postgres::hooks::transactions::TransactionStatementHook;
-use evermap_engine::error::fault_of;
-use evermap_engine::sql::{explained, only_reads, plan_of};
+use futures::FutureExt;
 use pgwire::api::ClientInfo;
-use pgwire::api::portal::Format;
-use pgwire::api::results::{FieldFormat, QueryResponse, Response, Tag};
-use pgwire::error::{PgWireError, PgWireResult};
-use pgwire::types::format::FormatOptions;
+use pgwire::api::results::{Response, Tag};
+use pgwire::error::PgWireError;
 
-use crate::serve::aside::aside;
-use crate::serve::postgres::catalog::{in_its_words, is_of_catalog, no_rows};
 use crate::serve::postgres::cursors;
 use crate::serve::postgres::functions::{NO_PATH, PATH, SETTINGS, leads_elsewhere};
-use crate::serve::postgres::geometry::{as_extended, as_text, told};
 use crate::serve::postgres::kept::deallocate;
-use crate::serve::postgres::nested::{as_json, as_texts, without_bytes};
-use crate::serve::postgres::parameters::with_types;
-use crate::serve::postgres::postgis::with_views;
-use crate::serve::postgres::spatial::in_our_words;
+use crate::serve::postgres::reading::{Answer, Reading, reading};
 use crate::serve::postgres::transactions::refused;
-use crate::serve::postgres::types::of_types;
-use crate::serve::postgres::{error, said};
+use crate::serve::postgres::error;
 
 /// What handles statements, in this order.
 pub fn hooks() -> Vec<Arc<dyn QueryHook>> {
@@ -66,24 +52,46 @@ struct Gate;
 
 impl Gate {
     /// What becomes of a statement, with its plan where it has one; `None` for what the hooks behind the gate answer.
-    async fn answer(
-        statement: &Statement,
-        plan: Option<&LogicalPlan>,
-        context: &SessionContext,
-        client: &mut dyn HookClient,
-    ) -> Option<PgWireResult<Response>> {
-        if let Some(error) = refused(statement, client) {
-            return Some(Err(error));
-        }
-        forget(statement, client);
-        if let Some(query) = shown(statement, client) {
-            return Reading.handle_simple_query(&query, context, client).await;
-        }
-        match Self::verdict(statement) {
-            Verdict::Passes => cursors::answered(statement, plan, context, client).await,
-            Verdict::Done(tag) => Some(Ok(Response::Execution(Tag::new(tag)))),
-            Verdict::Refused(error) => Some(Err(error)),
-        }
+    fn answer<'a>(
+        statement: &'a Statement,
+        plan: Option<&'a LogicalPlan>,
+        context: &'a SessionContext,
+        client: &'a mut dyn HookClient,
+    ) -> Answer<'a> {
+        let answer = async move {
+            if let Some(error) = refused(statement, client) {
+                return Some(Err(error));
+            }
+            forget(statement, client);
+            if let Some(query) = shown(statement, client) {
+                return Reading::answer(&query, context, client).await;
+            }
+            match Self::verdict(statement) {
+                Verdict::Passes => cursors::answered(statement, plan, context, client).await,
+                Verdict::Done(tag) => Some(Ok(Response::Execution(Tag::new(tag)))),
+                Verdict::Refused(error) => Some(Err(error)),
+            }
+        };
+        answer.boxed()
+    }
+
+    fn planned<'a>(
+        statement: &'a Statement,
+        context: &'a SessionContext,
+        client: &'a (dyn ClientInfo + Send + Sync),
+    ) -> Answer<'a, LogicalPlan> {
+        let planned = async move {
+            if let Some(query) = shown(statement, client) {
+                return Some(reading(&query, context).await);
+            }
+            match Self::verdict(statement) {
+                Verdict::Passes => cursors::planned(statement, context, client).await,
+                // A plan without rows.
+                Verdict::Done(_) => Some(Ok(LogicalPlan::default())),
+                Verdict::Refused(error) => Some(Err(error)),
+            }
+        };
+        planned.boxed()
     }
 
     fn verdict(statement: &Statement) -> Verdict {
@@ -195,43 +203,58 @@ fn is_of_a_client(set: &Set) -> bool {
     }
 }
 
-#[async_trait]
+// Futures are boxed once: `evermap_engine::erased`.
 impl QueryHook for Gate {
-    async fn handle_simple_query(
-        &self,
-        statement: &Statement,
-        context: &SessionContext,
-        client: &mut dyn HookClient,
-    ) -> Option<PgWireResult<Response>> {
-        Self::answer(statement, None, context, client).await
+    fn handle_simple_query<'a, 'b, 'c, 'd, 'all>(
+        &'a self,
+        statement: &'b Statement,
+        context: &'c SessionContext,
+        client: &'d mut dyn HookClient,
+    ) -> Answer<'all>
+    where
+        'a: 'all,
+        'b: 'all,
+        'c: 'all,
+        'd: 'all,
+        Self: 'all,
+    {
+        Self::answer(statement, None, context, client)
     }
 
-    async fn handle_extended_parse_query(
-        &self,
-        statement: &Statement,
-        context: &SessionContext,
-        client: &(dyn ClientInfo + Send + Sync),
-    ) -> Option<PgWireResult<LogicalPlan>> {
-        if let Some(query) = shown(statement, client) {
-            return Some(reading(&query, context).await);
-        }
-        match Self::verdict(statement) {
-            Verdict::Passes => cursors::planned(statement, context, client).await,
-            // A plan without rows.
-            Verdict::Done(_) => Some(Ok(LogicalPlan::default())),
-            Verdict::Refused(error) => Some(Err(error)),
-        }
+    fn handle_extended_parse_query<'a, 'b, 'c, 'd, 'all>(
+        &'a self,
+        statement: &'b Statement,
+        context: &'c SessionContext,
+        client: &'d (dyn ClientInfo + Send + Sync),
+    ) -> Answer<'all, LogicalPlan>
+    where
+        'a: 'all,
+        'b: 'all,
+        'c: 'all,
+        'd: 'all,
+        Self: 'all,
+    {
+        Self::planned(statement, context, client)
     }
 
-    async fn handle_extended_query(
-        &self,
-        statement: &Statement,
-        plan: &LogicalPlan,
-        _: &ParamValues,
-        context: &SessionContext,
-        client: &mut dyn HookClient,
-    ) -> Option<PgWireResult<Response>> {
-        Self::answer(statement, Some(plan), context, client).await
+    fn handle_extended_query<'a, 'b, 'c, 'd, 'e, 'f, 'all>(
+        &'a self,
+        statement: &'b Statement,
+        plan: &'c LogicalPlan,
+        _: &'d ParamValues,
+        context: &'e SessionContext,
+        client: &'f mut dyn HookClient,
+    ) -> Answer<'all>
+    where
+        'a: 'all,
+        'b: 'all,
+        'c: 'all,
+        'd: 'all,
+        'e: 'all,
+        'f: 'all,
+        Self: 'all,
+    {
+        Self::answer(statement, Some(plan), context, client)
     }
 }
 
@@ -254,119 +277,9 @@ fn shown(statement: &Statement, client: &(dyn ClientInfo + Send + Sync)) -> Opti
     Parser::parse_sql(&PostgreSqlDialect {}, &query).ok()?.pop()
 }
 
-/// Plans queries that only read, structs and the like as JSON.
-#[derive(Debug)]
-struct Reading;
-
-pub(super) async fn reading(
-    statement: &Statement,
-    context: &SessionContext,
-) -> PgWireResult<LogicalPlan> {
-    let statement = &with_views(in_our_words(of_types(statement.clone())));
-    if !is_of_catalog(statement) {
-        return planned(statement.clone(), context).await;
-    }
-    let plan = planned(in_its_words(statement.clone()), context).await;
-    let runs = |plan: LogicalPlan| {
-        let made = context.state().optimize(&plan);
-        made.map_or_else(|error| Err(said(&fault_of(&error))), |_| Ok(plan))
-    };
-    plan.and_then(runs).or_else(|error| {
-        tracing::debug!("not planned: {error}: {statement}");
-        no_rows(statement).ok_or(error)
-    })
-}
-
-async fn planned(statement: Statement, context: &SessionContext) -> PgWireResult<LogicalPlan> {
-    let parsed = Parsed::Statement(Box::new(statement));
-    let state = context.state();
-    let plan = aside(async move {
-        let plan = plan_of(&state, parsed).await?;
-        only_reads(&plan)?;
-        without_bytes(as_extended(as_json(as_texts(with_types(plan)?)?)?)?)
-    });
-    let plan = plan.await.map_err(|fault| said(&fault))?;
-    plan.map_err(|error| said(&explained(context, fault_of(&error))))
-}
-
-/// The rows of a query that [`reading`] planned.
-pub(super) async fn rows(
-    plan: LogicalPlan,
-    context: &SessionContext,
-    client: &dyn HookClient,
-    format: &Format,
-) -> PgWireResult<QueryResponse> {
-    let is_text = |column| format.format_for(column) == FieldFormat::Text;
-    let plan = as_text(plan, is_text).map_err(|error| said(&fault_of(&error)))?;
-    let frame = DataFrame::new(context.state(), plan.clone());
-    let options = Arc::new(FormatOptions::from_client_metadata(client.metadata()));
-    let format = format.clone();
-    let rows = aside(async move { encode_dataframe(frame, &format, Some(options)).await });
-    let rows = rows.await.map_err(|fault| said(&fault))?;
-    let rows = rows.map_err(fault_in_our_words)?;
-    let columns = told(&plan, rows.row_schema().to_vec());
-    let QueryResponse { data_rows, .. } = rows;
-    Ok(QueryResponse::new(Arc::new(columns), data_rows))
-}
-
-#[async_trait]
-impl QueryHook for Reading {
-    async fn handle_simple_query(
-        &self,
-        statement: &Statement,
-        context: &SessionContext,
-        client: &mut dyn HookClient,
-    ) -> Option<PgWireResult<Response>> {
-        let answered = async {
-            let plan = reading(statement, context).await?;
-            rows(plan, context, client, &Format::UnifiedText).await
-        };
-        Some(answered.await.map(Response::Query))
-    }
-
-    async fn handle_extended_parse_query(
-        &self,
-        statement: &Statement,
-        context: &SessionContext,
-        _: &(dyn ClientInfo + Send + Sync),
-    ) -> Option<PgWireResult<LogicalPlan>> {
-        Some(reading(statement, context).await)
-    }
-
-    /// The plan is run as it was made, in the format that the client asks for.
-    async fn handle_extended_query(
-        &self,
-        _: &Statement,
-        _: &LogicalPlan,
-        _: &ParamValues,
-        _: &SessionContext,
-        _: &mut dyn HookClient,
-    ) -> Option<PgWireResult<Response>> {
-        None
-    }
-}
-
-/// An error of the engine, or of the parser, which the library passes on as they are, as a fault with its number.
-pub(super) fn fault_in_our_words(error: PgWireError) -> PgWireError {
-    let inner = match error {
-        PgWireError::ApiError(inner) => inner,
-        other => return other,
-    };
-    let found = match inner.downcast::<ParserError>() {
-        Ok(error) => Ok(Box::new(DataFusionError::from(*error))),
-        Err(inner) => inner.downcast::<DataFusionError>(),
-    };
-    match found {
-        Ok(error) => said(&fault_of(&error)),
-        Err(inner) => PgWireError::ApiError(inner),
-    }
-}
-
 #[cfg(test)]
 mod tests {
-    #![allow(clippy::unwrap_used, clippy::panic)]
-    use arrow::error::ArrowError;
-
+    #![allow(clippy::unwrap_used)]
     use super::*;
 
     #[test]
@@ -381,39 +294,5 @@ mod tests {
             let verdict = Gate::verdict(&said[0]);
             assert!(matches!(verdict, Verdict::Done("SET")), "{text}");
         }
-    }
-
-    #[test]
-    fn what_the_parser_and_the_engine_say_has_the_number_that_postgres_has() {
-        let mistyped = Parser::parse_sql(&PostgreSqlDialect {}, "SELEC 1").unwrap_err();
-        let no_uuid = "expected a value of the type uuid, found `7`";
-        let no_uuid = DataFusionError::Execution(no_uuid.to_owned());
-        let by_nothing = DataFusionError::from(ArrowError::DivideByZero);
-        for (error, code, says) in [
-            (
-                PgWireError::ApiError(Box::new(mistyped)),
-                "42601",
-                "found: SELEC",
-            ),
-            (
-                PgWireError::ApiError(Box::new(by_nothing)),
-                "22012",
-                "Divide by zero",
-            ),
-            (
-                PgWireError::ApiError(Box::new(no_uuid)),
-                "22P02",
-                "found `7`",
-            ),
-        ] {
-            let PgWireError::UserError(told) = fault_in_our_words(error) else {
-                panic!("{says} is no fault");
-            };
-            assert_eq!(told.code, code, "{told:?}");
-            assert!(told.message.contains(says), "{told:?}");
-        }
-        let other = PgWireError::ApiError("another error".into());
-        let kept = fault_in_our_words(other).to_string();
-        assert!(kept.contains("another error"), "{kept}");
     }
 }

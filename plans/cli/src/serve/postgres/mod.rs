@@ -16,6 +16,7 @@ mod keys;
 mod nested;
 mod parameters;
 mod postgis;
+mod reading;
 mod spatial;
 mod startup;
 mod tokens;
@@ -33,6 +34,7 @@ use datafusion::prelude::SessionContext;
 use datafusion::sql::sqlparser::ast::Statement;
 use datafusion::sql::sqlparser::dialect::PostgreSqlDialect;
 use datafusion_postgres::DfSessionService;
+use evermap_engine::erased::Erased;
 use evermap_engine::error::fault_of;
 use evermap_engine::map::is_as_planned;
 use evermap_engine::sql::{NO_TABLE, check_size};
@@ -59,7 +61,7 @@ use crate::serve::patience::{Asked, accept};
 use crate::serve::places::Places;
 use crate::serve::postgres::answering::{all_rows, bounded, cancelled, never, rows_wanted};
 use crate::serve::postgres::connection::Handlers;
-use crate::serve::postgres::hooks::fault_in_our_words;
+use crate::serve::postgres::reading::fault_in_our_words;
 use crate::serve::postgres::startup::{Startup, is_in};
 
 pub use catalog::complete_catalog;
@@ -222,7 +224,7 @@ static TYPES: LazyLock<Arc<datafusion_postgres::Parser>> =
 
 impl Parser {
     /// The map that a client asks, if it may.
-    async fn opened<C: ClientInfo>(&self, client: &C, query: &str) -> PgWireResult<Arc<Opened>> {
+    async fn opened<C: ClientInfo>(&self, client: &C, query: &str) -> PgWireResult<Erased<Opened>> {
         if !is_in(client) {
             return Err(error("FATAL", "28000", "expected a password first"));
         }

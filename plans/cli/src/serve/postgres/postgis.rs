@@ -335,7 +335,7 @@ fn int32(batch: &RecordBatch, name: &str) -> Result<Int32Array> {
 #[derive(Debug, Clone)]
 struct Catalog {
     inner: Arc<dyn SchemaProvider>,
-    types: Arc<MemTable>,
+    types: Arc<dyn TableProvider>,
     views: BTreeMap<&'static str, Arc<dyn TableProvider>>,
 }
 
@@ -348,7 +348,7 @@ impl SchemaProvider for Catalog {
 
     async fn table(&self, name: &str) -> Result<Option<Arc<dyn TableProvider>>> {
         match name {
-            "pg_type" => Ok(Some(Arc::clone(&self.types) as Arc<dyn TableProvider>)),
+            "pg_type" => Ok(Some(Arc::clone(&self.types))),
             "pg_attribute" => {
                 let inner = self.inner.table(name).await?;
                 inner.map(|inner| derived(inner, typed, None)).transpose()

@@ -20,6 +20,7 @@ use std::time::Duration;
 
 use evermap_catalog::PERSON;
 use evermap_catalog::painted::ImageKey;
+use evermap_engine::erased::Erased;
 use evermap_schemas::Fault;
 use evermap_schemas::layers::PlacedLabel;
 use rayon::{ThreadPool, ThreadPoolBuilder};
@@ -135,7 +136,7 @@ impl Teaching {
 
 impl Site {
     /// Places labels in a version of the map, if it was opened since.
-    async fn at(&self, opened: Arc<Opened>) -> Result<(), Fault> {
+    async fn at(&self, opened: Erased<Opened>) -> Result<(), Fault> {
         let mut told = self.told.lock().await;
         if told.opened.opening < opened.opening {
             told.end(Duration::ZERO);

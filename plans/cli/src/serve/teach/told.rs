@@ -7,6 +7,7 @@ use std::time::{Duration, Instant};
 
 use evermap_algorithms::ground::boxes::mosaic::Mosaic;
 use evermap_datasets::annotations::{Annotation, AnnotationLog};
+use evermap_engine::erased::Erased;
 use evermap_schemas::Fault;
 use evermap_schemas::layers::{
     Lane, OverheadGradients, OverheadTile, PersonExample, PersonQuestion, PlacedLabel,
@@ -29,7 +30,7 @@ use crate::serve::maps::Opened;
 
 /// A site with all that was said of it.
 pub(super) struct Told {
-    pub(super) opened: Arc<Opened>,
+    pub(super) opened: Erased<Opened>,
     /// Where the map is, as the server was told.
     pub(super) map: String,
     pub(super) state: State,
@@ -65,7 +66,7 @@ pub struct Saved {
 
 impl Told {
     pub(super) async fn read(
-        opened: Arc<Opened>,
+        opened: Erased<Opened>,
         map: &str,
         site: &str,
         folder: PathBuf,

@@ -5,7 +5,6 @@ use std::collections::HashMap;
 use std::fmt;
 use std::sync::Arc;
 
-use async_trait::async_trait;
 use datafusion::catalog::Session;
 use datafusion::common::{DFSchema, DFSchemaRef, Result, internal_err};
 use datafusion::execution::context::QueryPlanner;
@@ -15,6 +14,8 @@ use datafusion::logical_expr::{
 };
 use datafusion::physical_plan::ExecutionPlan;
 use datafusion::physical_planner::{DefaultPhysicalPlanner, ExtensionPlanner, PhysicalPlanner};
+use futures::FutureExt;
+use futures::future::{BoxFuture, ready};
 
 use crate::nodes::node::Node;
 use crate::sql::as_of::condition::Condition;
@@ -113,54 +114,97 @@ impl UserDefinedLogicalNodeCore for AsOfJoin {
 #[derive(Debug)]
 pub struct Planner;
 
-#[async_trait]
 impl QueryPlanner for Planner {
-    async fn create_physical_plan(
-        &self,
-        plan: &LogicalPlan,
-        session: &dyn Session,
-    ) -> Result<Arc<dyn ExecutionPlan>> {
+    // Its future is boxed once: `crate::erased`.
+    fn create_physical_plan<'a, 'b, 'c, 'all>(
+        &'a self,
+        plan: &'b LogicalPlan,
+        session: &'c dyn Session,
+    ) -> BoxFuture<'all, Result<Arc<dyn ExecutionPlan>>>
+    where
+        'a: 'all,
+        'b: 'all,
+        'c: 'all,
+        Self: 'all,
+    {
+        physical(plan, session)
+    }
+}
+
+fn physical<'a>(
+    plan: &'a LogicalPlan,
+    session: &'a dyn Session,
+) -> BoxFuture<'a, Result<Arc<dyn ExecutionPlan>>> {
+    let planned = async move {
         let planner = DefaultPhysicalPlanner::with_extension_planners(vec![Arc::new(Joins)]);
         planner.create_physical_plan(plan, session).await
-    }
+    };
+    planned.boxed()
 }
 
 struct Joins;
 
-#[async_trait]
 impl ExtensionPlanner for Joins {
-    async fn plan_extension(
+    // Nothing is waited for, and nothing is held: `crate::erased`.
+    fn plan_extension<'a, 'b, 'c, 'd, 'e, 'f, 'g, 'h, 'all>(
+        &'a self,
+        planner: &'b dyn PhysicalPlanner,
+        node: &'c dyn UserDefinedLogicalNode,
+        _: &'d [&'e LogicalPlan],
+        inputs: &'f [Arc<dyn ExecutionPlan>],
+        session: &'g dyn Session,
+        planning: &'h PhysicalPlanningContext,
+    ) -> BoxFuture<'all, Result<Option<Arc<dyn ExecutionPlan>>>>
+    where
+        'a: 'all,
+        'b: 'all,
+        'c: 'all,
+        'd: 'all,
+        'e: 'all,
+        'f: 'all,
+        'g: 'all,
+        'h: 'all,
+        Self: 'all,
+    {
+        let planned = match (node.as_any().downcast_ref::<AsOfJoin>(), inputs) {
+            (Some(join), [left, right]) => join
+                .planned([left, right], planner, session, planning)
+                .map(Some),
+            _ => Ok(None),
+        };
+        ready(planned).boxed()
+    }
+}
+
+impl AsOfJoin {
+    /// What computes it from what computes its tables.
+    fn planned(
         &self,
+        tables: [&Arc<dyn ExecutionPlan>; 2],
         planner: &dyn PhysicalPlanner,
-        node: &dyn UserDefinedLogicalNode,
-        _: &[&LogicalPlan],
-        inputs: &[Arc<dyn ExecutionPlan>],
         session: &dyn Session,
         planning: &PhysicalPlanningContext,
-    ) -> Result<Option<Arc<dyn ExecutionPlan>>> {
-        let (Some(join), [left, right]) = (node.as_any().downcast_ref::<AsOfJoin>(), inputs) else {
-            return Ok(None);
-        };
+    ) -> Result<Arc<dyn ExecutionPlan>> {
         let value = |expr: &Expr, schema: &DFSchema| {
             planner.create_physical_expr(expr, schema, session, planning)
         };
         let pair = |(of_left, of_right): &(Expr, Expr)| {
-            let of_left = value(of_left, join.left.schema())?;
-            Ok((of_left, value(of_right, join.right.schema())?))
+            let of_left = value(of_left, self.left.schema())?;
+            Ok((of_left, value(of_right, self.right.schema())?))
         };
-        let logical = &join.condition;
+        let logical = &self.condition;
         let limit = logical.limit.as_ref();
         let condition = Condition {
             keys: logical.keys.iter().map(pair).collect::<Result<_>>()?,
             times: pair(&logical.times)?,
             matching: logical.matching,
-            limit: limit.map(|limit| value(limit, &join.schema)).transpose()?,
+            limit: limit.map(|limit| value(limit, &self.schema)).transpose()?,
         };
         let as_of = AsOf {
             condition: Arc::new(condition),
-            schema: Arc::clone(join.schema.inner()),
+            schema: Arc::clone(self.schema.inner()),
         };
-        let children = vec![Arc::clone(left), Arc::clone(right)];
-        Ok(Some(Arc::new(Node::try_new(Arc::new(as_of), children)?)))
+        let children = tables.map(Arc::clone).to_vec();
+        Ok(Arc::new(Node::try_new(Arc::new(as_of), children)?))
     }
 }
