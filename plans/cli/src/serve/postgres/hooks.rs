@@ -19,11 +19,11 @@ use pgwire::api::results::{Response, Tag};
 use pgwire::error::PgWireError;
 
 use crate::serve::postgres::cursors;
+use crate::serve::postgres::error;
 use crate::serve::postgres::functions::{NO_PATH, PATH, SETTINGS, leads_elsewhere};
 use crate::serve::postgres::kept::deallocate;
 use crate::serve::postgres::reading::{Answer, Reading, reading};
 use crate::serve::postgres::transactions::refused;
-use crate::serve::postgres::error;
 
 /// What handles statements, in this order.
 pub fn hooks() -> Vec<Arc<dyn QueryHook>> {
