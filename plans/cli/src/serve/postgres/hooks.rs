@@ -2,7 +2,6 @@
 
 use std::sync::Arc;
 
-use datafusion::common::ParamValues;
 use datafusion::logical_expr::LogicalPlan;
 use datafusion::prelude::SessionContext;
 use datafusion::sql::sqlparser::ast::{DiscardObject, Set, Statement};
@@ -21,18 +20,19 @@ use pgwire::error::PgWireError;
 use crate::serve::postgres::cursors;
 use crate::serve::postgres::error;
 use crate::serve::postgres::functions::{NO_PATH, PATH, SETTINGS, leads_elsewhere};
+use crate::serve::postgres::hook::{Answer, Hook, Hooked};
 use crate::serve::postgres::kept::deallocate;
-use crate::serve::postgres::reading::{Answer, Reading, reading};
+use crate::serve::postgres::reading::{Reading, reading};
 use crate::serve::postgres::transactions::refused;
 
 /// What handles statements, in this order.
 pub fn hooks() -> Vec<Arc<dyn QueryHook>> {
     vec![
-        Arc::new(Gate),
+        Arc::new(Hooked(Gate)),
         Arc::new(CursorStatementHook),
         Arc::new(SetShowHook),
         Arc::new(TransactionStatementHook),
-        Arc::new(Reading),
+        Arc::new(Hooked(Reading)),
     ]
 }
 
@@ -50,9 +50,10 @@ enum Verdict {
 #[derive(Debug)]
 struct Gate;
 
-impl Gate {
+impl Hook for Gate {
     /// What becomes of a statement, with its plan where it has one; `None` for what the hooks behind the gate answer.
     fn answer<'a>(
+        &'a self,
         statement: &'a Statement,
         plan: Option<&'a LogicalPlan>,
         context: &'a SessionContext,
@@ -64,7 +65,7 @@ impl Gate {
             }
             forget(statement, client);
             if let Some(query) = shown(statement, client) {
-                return Reading::answer(&query, context, client).await;
+                return Reading.answer(&query, None, context, client).await;
             }
             match Self::verdict(statement) {
                 Verdict::Passes => cursors::answered(statement, plan, context, client).await,
@@ -76,6 +77,7 @@ impl Gate {
     }
 
     fn planned<'a>(
+        &'a self,
         statement: &'a Statement,
         context: &'a SessionContext,
         client: &'a (dyn ClientInfo + Send + Sync),
@@ -93,7 +95,9 @@ impl Gate {
         };
         planned.boxed()
     }
+}
 
+impl Gate {
     fn verdict(statement: &Statement) -> Verdict {
         match statement {
             Statement::Query(_)
@@ -200,61 +204,6 @@ fn is_of_a_client(set: &Set) -> bool {
         | Set::SetNames { .. }
         | Set::SetNamesDefault {} => true,
         _ => false,
-    }
-}
-
-// Futures are boxed once: `evermap_engine::erased`.
-impl QueryHook for Gate {
-    fn handle_simple_query<'a, 'b, 'c, 'd, 'all>(
-        &'a self,
-        statement: &'b Statement,
-        context: &'c SessionContext,
-        client: &'d mut dyn HookClient,
-    ) -> Answer<'all>
-    where
-        'a: 'all,
-        'b: 'all,
-        'c: 'all,
-        'd: 'all,
-        Self: 'all,
-    {
-        Self::answer(statement, None, context, client)
-    }
-
-    fn handle_extended_parse_query<'a, 'b, 'c, 'd, 'all>(
-        &'a self,
-        statement: &'b Statement,
-        context: &'c SessionContext,
-        client: &'d (dyn ClientInfo + Send + Sync),
-    ) -> Answer<'all, LogicalPlan>
-    where
-        'a: 'all,
-        'b: 'all,
-        'c: 'all,
-        'd: 'all,
-        Self: 'all,
-    {
-        Self::planned(statement, context, client)
-    }
-
-    fn handle_extended_query<'a, 'b, 'c, 'd, 'e, 'f, 'all>(
-        &'a self,
-        statement: &'b Statement,
-        plan: &'c LogicalPlan,
-        _: &'d ParamValues,
-        context: &'e SessionContext,
-        client: &'f mut dyn HookClient,
-    ) -> Answer<'all>
-    where
-        'a: 'all,
-        'b: 'all,
-        'c: 'all,
-        'd: 'all,
-        'e: 'all,
-        'f: 'all,
-        Self: 'all,
-    {
-        Self::answer(statement, Some(plan), context, client)
     }
 }
 

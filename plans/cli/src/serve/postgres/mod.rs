@@ -10,6 +10,7 @@ mod expression;
 mod format;
 mod functions;
 mod geometry;
+mod hook;
 mod hooks;
 mod kept;
 mod keys;

@@ -2,20 +2,18 @@
 
 use std::sync::Arc;
 
-use datafusion::common::ParamValues;
 use datafusion::error::DataFusionError;
 use datafusion::logical_expr::LogicalPlan;
 use datafusion::prelude::{DataFrame, SessionContext};
 use datafusion::sql::parser::Statement as Parsed;
 use datafusion::sql::sqlparser::ast::Statement;
 use datafusion::sql::sqlparser::parser::ParserError;
-use datafusion_postgres::QueryHook;
 use datafusion_postgres::arrow_pg::datatypes::df::encode_dataframe;
 use datafusion_postgres::hooks::HookClient;
 use evermap_engine::error::fault_of;
 use evermap_engine::sql::{explained, only_reads, plan_of};
 use futures::FutureExt;
-use futures::future::{BoxFuture, ready};
+use futures::future::ready;
 use pgwire::api::ClientInfo;
 use pgwire::api::portal::Format;
 use pgwire::api::results::{FieldFormat, QueryResponse, Response};
@@ -25,15 +23,13 @@ use pgwire::types::format::FormatOptions;
 use crate::serve::aside::aside;
 use crate::serve::postgres::catalog::{in_its_words, is_of_catalog, no_rows};
 use crate::serve::postgres::geometry::{as_extended, as_text, told};
+use crate::serve::postgres::hook::{Answer, Hook};
 use crate::serve::postgres::nested::{as_json, as_texts, without_bytes};
 use crate::serve::postgres::parameters::with_types;
 use crate::serve::postgres::postgis::with_views;
 use crate::serve::postgres::said;
 use crate::serve::postgres::spatial::in_our_words;
 use crate::serve::postgres::types::of_types;
-
-/// What a hook answers; `None` for what those behind it answer.
-pub(super) type Answer<'a, T = Response> = BoxFuture<'a, Option<PgWireResult<T>>>;
 
 /// Plans queries that only read, structs and the like as JSON.
 #[derive(Debug)]
@@ -90,12 +86,18 @@ pub(super) async fn rows(
     Ok(QueryResponse::new(Arc::new(columns), data_rows))
 }
 
-impl Reading {
-    pub(super) fn answer<'a>(
+impl Hook for Reading {
+    /// A plan is run as it was made, in the format that the client asks for.
+    fn answer<'a>(
+        &'a self,
         statement: &'a Statement,
+        plan: Option<&'a LogicalPlan>,
         context: &'a SessionContext,
         client: &'a mut dyn HookClient,
     ) -> Answer<'a> {
+        if plan.is_some() {
+            return ready(None).boxed();
+        }
         let answered = async move {
             let plan = reading(statement, context).await?;
             rows(plan, context, client, &Format::UnifiedText).await
@@ -103,65 +105,15 @@ impl Reading {
         let answer = answered.map(|rows| Some(rows.map(Response::Query)));
         answer.boxed()
     }
-}
 
-impl QueryHook for Reading {
-    fn handle_simple_query<'a, 'b, 'c, 'd, 'all>(
+    fn planned<'a>(
         &'a self,
-        statement: &'b Statement,
-        context: &'c SessionContext,
-        client: &'d mut dyn HookClient,
-    ) -> Answer<'all>
-    where
-        'a: 'all,
-        'b: 'all,
-        'c: 'all,
-        'd: 'all,
-        Self: 'all,
-    {
-        Self::answer(statement, context, client)
+        statement: &'a Statement,
+        context: &'a SessionContext,
+        _: &'a (dyn ClientInfo + Send + Sync),
+    ) -> Answer<'a, LogicalPlan> {
+        reading(statement, context).map(Some).boxed()
     }
-
-    fn handle_extended_parse_query<'a, 'b, 'c, 'd, 'all>(
-        &'a self,
-        statement: &'b Statement,
-        context: &'c SessionContext,
-        _: &'d (dyn ClientInfo + Send + Sync),
-    ) -> Answer<'all, LogicalPlan>
-    where
-        'a: 'all,
-        'b: 'all,
-        'c: 'all,
-        'd: 'all,
-        Self: 'all,
-    {
-        read(statement, context)
-    }
-
-    /// The plan is run as it was made, in the format that the client asks for.
-    fn handle_extended_query<'a, 'b, 'c, 'd, 'e, 'f, 'all>(
-        &'a self,
-        _: &'b Statement,
-        _: &'c LogicalPlan,
-        _: &'d ParamValues,
-        _: &'e SessionContext,
-        _: &'f mut dyn HookClient,
-    ) -> Answer<'all>
-    where
-        'a: 'all,
-        'b: 'all,
-        'c: 'all,
-        'd: 'all,
-        'e: 'all,
-        'f: 'all,
-        Self: 'all,
-    {
-        ready(None).boxed()
-    }
-}
-
-fn read<'a>(statement: &'a Statement, context: &'a SessionContext) -> Answer<'a, LogicalPlan> {
-    reading(statement, context).map(Some).boxed()
 }
 
 /// An error of the engine, or of the parser, which the library passes on as they are, as a fault with its number.
