@@ -268,7 +268,8 @@ fn labels_are_learnt_and_given_to_frames() {
     let mut more = vec!["--sessions", text(&log)];
     for setting in [
         "samples.samples=500",
-        "pixel_forest.trees=10",
+        "samples.backbone_areas_px=[43200]",
+        "pixel_network.least_steps=500",
         "crf_settings.trials=1",
         "crf_settings.images=2",
     ] {

@@ -694,7 +694,8 @@ fn people_paint_on_images_and_the_next_run_has_learnt_from_it() {
         let mut more = sessions.to_vec();
         for setting in [
             "samples.samples=400",
-            "pixel_forest.trees=10",
+            "samples.backbone_areas_px=[43200]",
+            "pixel_network.least_steps=500",
             "crf_settings.trials=1",
             "crf_settings.images=1",
         ] {
@@ -704,7 +705,7 @@ fn people_paint_on_images_and_the_next_run_has_learnt_from_it() {
     };
     let first = run(&["--sessions", text(&log)]).expect(3);
     assert!(
-        first.stderr.contains("site has no forest"),
+        first.stderr.contains("site has no classifier"),
         "{}",
         first.stderr
     );

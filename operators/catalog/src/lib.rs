@@ -69,6 +69,7 @@ operators! {
         label_images::LabelImages,
         label_scores::LabelScores,
         pixel_forest::PixelForest,
+        pixel_network::PixelNetwork,
         pixel_samples::PixelSampling,
         temporal_scores::TemporalScores,
     }

@@ -307,6 +307,7 @@ pub fn all() -> Vec<crate::Layer> {
         ClassScores::layer(),
         CrfSetting::layer(),
         DecisionTree::layer(),
+        PixelPerceptron::layer(),
         LabelAnchor::layer(),
         LabelImage::layer(),
         LabelledFrame::layer(),

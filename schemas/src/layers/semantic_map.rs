@@ -112,6 +112,33 @@ record! {
 }
 
 record! {
+    /// One perceptron of a network that classifies pixels: of one hidden layer, with rectified units.
+    #[layer("pixel_network", key(site, member))]
+    pub struct PixelPerceptron {
+        /// Site that it was learnt on.
+        site: String,
+        /// Counted from 0 within the network.
+        member: u32,
+        /// Names of the classes.
+        classes: Vec<String>,
+        /// What the features are, as JSON.
+        features: String,
+        /// Weights of the features, of one hidden unit after the other.
+        hidden_weights: Vec<f32>,
+        /// One a hidden unit.
+        hidden_biases: Vec<f32>,
+        /// Weights of the hidden units, of one class after the other.
+        output_weights: Vec<f32>,
+        /// One a class, all taken for equally frequent.
+        output_biases: Vec<f32>,
+        /// Share of each class among the labelled pixels.
+        priors: Vec<f32>,
+        /// What it has not seen, though the network was learnt from it: its scores there are as of new images.
+        held_out: Vec<Source>,
+    }
+}
+
+record! {
     /// Probabilities of the classes over one image.
     #[layer("class_scores", key(site, session, stamp, camera))]
     pub struct ClassScores {

@@ -4,6 +4,7 @@
 //! cargo run --release --example camvid -p evermap-bench -- ../shared/data/camvid --folds 5
 //! cargo run --release --example camvid -p evermap-bench -- TRAINING_FOLDER --test TEST_FOLDER
 //! ```
+//! `--network` learns perceptrons, as `scene_labels` does, instead of a forest (with `--features opencv`).
 //! `--dump FOLDER` only writes the samples, for `tests/peers/pixel_forest.py`. Folds are contiguous parts of each sequence, or every n-th frame with `--interleaved`. The prior power and the weight of
 //! the kernels are those that do best on training frames, each scored by trees that have not seen its part of
 //! the drive: no test frame is looked at.
@@ -18,13 +19,15 @@ use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use evermap_algorithms::learning::dense_crf::{ColourView, Kernels, MeanField, RandomField, Unary};
+use evermap_algorithms::learning::perceptron::{self, NetworkOptions};
 use evermap_algorithms::learning::pixel_classifier::PixelClassifier;
 use evermap_algorithms::learning::pixel_features::{
-    FeatureDescription, SamplingOptions, labelled_features,
+    Backbone, FeatureDescription, FeatureMap, SamplingOptions, labelled_features,
 };
 use evermap_algorithms::learning::random_forest::{
-    ForestOptions, Samples, prior_factors, train, with_priors,
+    ForestOptions, prior_factors, train, with_priors,
 };
+use evermap_algorithms::learning::samples::Samples;
 use evermap_bench::Failure;
 use rayon::prelude::*;
 
@@ -60,6 +63,7 @@ struct Arguments {
     sampling: SamplingOptions,
     forest: ForestOptions,
     features: FeatureDescription,
+    network: Option<NetworkOptions>,
 }
 
 fn arguments() -> Result<Arguments, Failure> {
@@ -76,6 +80,7 @@ fn arguments() -> Result<Arguments, Failure> {
         sampling: SamplingOptions::default(),
         forest: ForestOptions::default(),
         features: FeatureDescription::default(),
+        network: None,
     };
     let mut words = std::env::args().skip(1);
     while let Some(word) = words.next() {
@@ -96,12 +101,30 @@ fn arguments() -> Result<Arguments, Failure> {
             "--tried" => parsed.forest.tried_features = value()?.parse()?,
             "--min-leaf" => parsed.forest.min_leaf = value()?.parse()?,
             "--balance" => parsed.forest.balance = value()?.parse()?,
+            "--network" => parsed.network = Some(serde_json::from_str(&value()?)?),
             "--features" => parsed.features = serde_json::from_str(&value()?)?,
             _ => parsed.folder = word.into(),
         }
     }
     Ok(parsed)
 }
+
+/// What EfficientNet-Lite0 sees.
+#[cfg(feature = "opencv")]
+const BACKBONE: Backbone = |image, area_px| {
+    let size = [image.width(), image.height()].map(|side| side as u32);
+    let found = evermap_vision::activations(size, image.pixels().as_flattened(), area_px);
+    let map = |stage: evermap_vision::Activation| FeatureMap {
+        channels: stage.channels,
+        size: stage.size,
+        cells_per_px: stage.cells_per_px,
+        values: stage.values,
+    };
+    let found = found.map_err(|error| error.to_string())?;
+    Ok(found.into_iter().map(map).collect())
+};
+#[cfg(not(feature = "opencv"))]
+const BACKBONE: Backbone = evermap_algorithms::learning::pixel_features::NO_BACKBONE;
 
 struct Frame {
     sequence: usize,
@@ -185,7 +208,15 @@ fn gather(frames: &[&Frame], blocks: &[u32], arguments: &Arguments) -> Gathered 
             ..arguments.sampling
         };
         let (what, classes) = (&arguments.features, CLASSES.len());
-        labelled_features(what, &frame.image(), &frame.labels, classes, &options).unwrap()
+        labelled_features(
+            what,
+            &frame.image(),
+            &frame.labels,
+            classes,
+            &options,
+            BACKBONE,
+        )
+        .unwrap()
     };
     let parts: Vec<_> = frames.par_iter().enumerate().map(sample).collect();
     let mut all = Gathered::default();
@@ -216,17 +247,24 @@ fn learn(frames: &[&Frame], arguments: &Arguments) -> Model {
         blocks: &gathered.blocks,
     };
     let start = Instant::now();
-    let trees = train(&samples, &arguments.forest);
-    let nodes = trees.iter().map(|tree| tree.nodes.len()).sum::<usize>() / trees.len();
+    let classifier = match &arguments.network {
+        Some(options) => {
+            let members = perceptron::train(&samples, options);
+            PixelClassifier::of_network(what.clone(), members, CLASSES.len()).unwrap()
+        }
+        None => {
+            let trees = train(&samples, &arguments.forest);
+            PixelClassifier::of_trees(what.clone(), &trees, CLASSES.len()).unwrap()
+        }
+    };
     eprintln!(
-        "{} trees of {nodes} nodes on {} samples in {:.1} s",
-        trees.len(),
+        "learnt from {} samples in {:.1} s",
         gathered.labels.len(),
         start.elapsed().as_secs_f64()
     );
     let all = gathered.class_pixels.iter().sum::<u64>() as f32;
     Model {
-        classifier: PixelClassifier::new(what.clone(), &trees, CLASSES.len()).unwrap(),
+        classifier,
         blocks,
         frequencies: gathered
             .class_pixels
@@ -349,7 +387,7 @@ fn chosen(frames: &[&Frame], model: &Model, arguments: &Arguments) -> (f64, f64)
     {
         let scores = model
             .classifier
-            .scores(&frame.image(), Some(*block), arguments.stride)
+            .scores(&frame.image(), Some(*block), arguments.stride, BACKBONE)
             .unwrap();
         let found: Vec<Vec<u8>> = settings
             .par_iter()
@@ -396,7 +434,7 @@ fn judge(training: &[&Frame], test: &[&Frame], arguments: &Arguments, results: &
         .map(|frame| {
             model
                 .classifier
-                .scores(&frame.image(), None, arguments.stride)
+                .scores(&frame.image(), None, arguments.stride, BACKBONE)
                 .unwrap()
         })
         .collect();

@@ -1,16 +1,23 @@
-//! Scores of classes over an image, by a random forest on the features of its pixels.
+//! Scores of classes over an image, by a forest or a network on the features of its pixels.
 
 use rayon::prelude::*;
 
 use crate::learning::dense_crf::ColourView;
-use crate::learning::pixel_features::{FeatureDescription, FeatureError, PixelFeatures};
+use crate::learning::perceptron::{Network, NetworkError, Perceptron};
+use crate::learning::pixel_features::{Backbone, FeatureDescription, FeatureError, PixelFeatures};
 use crate::learning::random_forest::{Forest, Tree, TreeError};
 
-/// A forest and the features that it reads.
+/// A forest or a network, and the features that it reads.
 #[derive(Debug, Clone)]
 pub struct PixelClassifier {
     description: FeatureDescription,
-    forest: Forest,
+    model: Model,
+}
+
+#[derive(Debug, Clone)]
+enum Model {
+    Forest(Forest),
+    Network(Network),
 }
 
 /// Why there is no classifier.
@@ -22,6 +29,9 @@ pub enum ClassifierError {
     /// A tree is senseless.
     #[error(transparent)]
     Tree(#[from] TreeError),
+    /// A network is senseless.
+    #[error(transparent)]
+    Network(#[from] NetworkError),
 }
 
 impl PixelClassifier {
@@ -29,27 +39,42 @@ impl PixelClassifier {
     ///
     /// # Errors
     /// [`ClassifierError`] for features out of range or trees that do not fit them.
-    pub fn new(
+    pub fn of_trees(
         description: FeatureDescription,
         trees: &[Tree],
         classes: usize,
     ) -> Result<Self, ClassifierError> {
         description.check()?;
-        let forest = Forest::new(trees, description.dimensions(), classes)?;
-        Ok(Self {
-            description,
-            forest,
-        })
+        let model = Model::Forest(Forest::new(trees, description.dimensions(), classes)?);
+        Ok(Self { description, model })
+    }
+
+    /// From the members of a network over these features and so many classes.
+    ///
+    /// # Errors
+    /// [`ClassifierError`] for features out of range or members that do not fit them.
+    pub fn of_network(
+        description: FeatureDescription,
+        members: Vec<Perceptron>,
+        classes: usize,
+    ) -> Result<Self, ClassifierError> {
+        description.check()?;
+        let network = Network::new(members, description.dimensions(), classes)?;
+        let model = Model::Network(network);
+        Ok(Self { description, model })
     }
 
     /// Number of classes.
     pub fn classes(&self) -> usize {
-        self.forest.classes()
+        match &self.model {
+            Model::Forest(forest) => forest.classes(),
+            Model::Network(network) => network.classes(),
+        }
     }
 
     /// Probabilities of the classes for each cell of `stride_px` (at least 1), as seen at its central pixel: cell after
     /// cell, row by row, classes innermost; the last cells of a row or column may reach beyond the image. Of an image of
-    /// a block that trees have held out, only those trees are asked. The same for any number of threads.
+    /// a block that some trees or members have held out, only those are asked. The same for any number of threads.
     ///
     /// # Errors
     /// [`FeatureError`] where the features cannot be computed.
@@ -58,11 +83,12 @@ impl PixelClassifier {
         image: &ColourView<'_>,
         block: Option<u32>,
         stride_px: u32,
+        backbone: Backbone,
     ) -> Result<Vec<f32>, FeatureError> {
-        let features = PixelFeatures::new(&self.description, image)?;
+        let features = PixelFeatures::new(&self.description, image, backbone)?;
         let stride = stride_px.max(1) as usize;
         let [columns, rows] = features.size().map(|side| side.div_ceil(stride));
-        let (dimensions, classes) = (self.forest.dimensions(), self.forest.classes());
+        let (dimensions, classes) = (self.description.dimensions(), self.classes());
         let mut scores = vec![0.0; columns * rows * classes];
         scores
             .par_chunks_exact_mut(columns * classes)
@@ -74,7 +100,10 @@ impl PixelClassifier {
                     for (column, out) in values.chunks_exact_mut(dimensions).enumerate() {
                         features.write(centre(column), centre(row), out);
                     }
-                    self.forest.predict(values, block, scores);
+                    match &self.model {
+                        Model::Forest(forest) => forest.predict(values, block, scores),
+                        Model::Network(network) => network.predict(values, block, scores),
+                    }
                 },
             );
         Ok(scores)
@@ -91,6 +120,7 @@ pub fn quantised(probability: f32) -> u8 {
 mod tests {
     #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
     use super::*;
+    use crate::learning::pixel_features::NO_BACKBONE;
     use crate::learning::random_forest::Node;
 
     /// Splits at the row: the upper half is class 0, the lower one more likely class 1.
@@ -119,19 +149,22 @@ mod tests {
         let mut other = halves(&what, Some(3));
         other.distributions = vec![0.0, 1.0, 0.0, 1.0];
         let trees = [halves(&what, None), other];
-        let classifier = PixelClassifier::new(what.clone(), &trees, 2).unwrap();
+        let classifier = PixelClassifier::of_trees(what.clone(), &trees, 2).unwrap();
         let data = [90; 3 * 16 * 12];
         let image = ColourView::new(16, 12, &data).unwrap();
-        let scores = classifier.scores(&image, None, 5).unwrap();
+        let scores = classifier.scores(&image, None, 5, NO_BACKBONE).unwrap();
         assert_eq!(scores.len(), 4 * 3 * 2);
         assert_eq!((scores[0], scores[8], scores[16]), (0.5, 0.125, 0.125));
-        let honest = classifier.scores(&image, Some(3), 5).unwrap();
+        let honest = classifier.scores(&image, Some(3), 5, NO_BACKBONE).unwrap();
         assert!(honest.chunks_exact(2).all(|cell| cell == [0.0, 1.0]));
         assert_eq!(
-            classifier.scores(&image, None, 0).unwrap().len(),
+            classifier
+                .scores(&image, None, 0, NO_BACKBONE)
+                .unwrap()
+                .len(),
             16 * 12 * 2
         );
-        assert!(PixelClassifier::new(what, &trees, 3).is_err());
+        assert!(PixelClassifier::of_trees(what, &trees, 3).is_err());
     }
 
     #[test]

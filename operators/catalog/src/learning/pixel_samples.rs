@@ -11,6 +11,7 @@ use evermap_vision::{Rgb, decode_labels};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+use crate::inputs::backbone::BACKBONE;
 use crate::inputs::lenses::{self, Lenses};
 use crate::inputs::pixels::{colours, undecoded};
 
@@ -31,7 +32,7 @@ pub struct PixelSamplingParams {
 
 impl Operator for PixelSampling {
     const NAME: &'static str = "pixel_samples";
-    const VERSION: u32 = 3;
+    const VERSION: u32 = 4;
     const PAGE: &'static str = include_str!("pixel_samples.md");
     type Params = PixelSamplingParams;
     type Output = PixelSamples;
@@ -113,8 +114,15 @@ impl Sampler {
             ..self.sampling
         };
         let classes = frame.classes.len().min(MOST_CLASSES);
-        let found = labelled_features(description, &image, &labels.data, classes, &sampling)
-            .map_err(|_| "features cannot be computed")?;
+        let found = labelled_features(
+            description,
+            &image,
+            &labels.data,
+            classes,
+            &sampling,
+            BACKBONE,
+        );
+        let found = found.map_err(|_| "features cannot be computed")?;
         if found.labels.is_empty() {
             return Err("image has no labelled pixels".into());
         }

@@ -14,7 +14,7 @@ use evermap_vision::{Grey, encode_png};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::inputs::forest::{LearntForest, wrong};
+use crate::inputs::classifier::Learnt;
 use crate::inputs::graphs::no_graph;
 use crate::inputs::lenses::{self, Lenses};
 use crate::inputs::pixels::values;
@@ -60,14 +60,16 @@ struct Site {
     model: Vec<OcclusionProbability>,
     lenses: Lenses,
     /// What was learnt from what was seen behind things, ready to predict.
-    learnt: Option<(LearntForest, Forest)>,
+    learnt: Option<(Learnt<DecisionTree>, Forest)>,
 }
 
 impl Site {
     fn new(params: &InferredLabelsParams, sides: &Sides) -> Result<Self, Fault> {
-        let learnt = LearntForest::new(sides)?.map(|learnt| {
-            let forest = Forest::new(&learnt.trees, DIMENSIONS, learnt.classes.len());
-            forest.map(|forest| (learnt, forest)).map_err(wrong)
+        let learnt = Learnt::new(sides)?.map(|learnt| {
+            let forest = Forest::new(&learnt.models, DIMENSIONS, learnt.classes.len());
+            forest
+                .map(|forest| (learnt, forest))
+                .map_err(Learnt::<DecisionTree>::wrong)
         });
         Ok(Self {
             params: params.clone(),
@@ -109,7 +111,9 @@ impl Site {
             learnt.classes == row.classes && learnt.features == surroundings(&row.classes)
         });
         let teller = match learnt {
-            Some((learnt, forest)) => Teller::Forest(forest, learnt.block(&row.session, row.stamp)),
+            Some((learnt, forest)) => {
+                Teller::Forest(forest, learnt.held_out.block(&row.session, row.stamp))
+            }
             None => Teller::Ellipses(&model),
         };
         let taken = (row.session.as_str(), row.camera.as_str(), row.stamp);

@@ -1,8 +1,8 @@
 //! Labelled images to samples, to a forest, to scores of other images.
 
 use evermap_contract::Losses;
-use evermap_contract::laws::inputs_of;
-use evermap_schemas::layers::{ClassScores, DecisionTree, PixelSamples};
+use evermap_contract::laws::{Split, inputs_of, run};
+use evermap_schemas::layers::{ClassScores, DecisionTree, PixelPerceptron, PixelSamples};
 use evermap_schemas::{Bytes, Stamp, record};
 use evermap_vision::{Grey, encode_png};
 use serde_json::json;
@@ -175,6 +175,70 @@ fn what_is_labelled_in_some_images_is_found_in_others() {
         let right = right(row);
         assert!(right > 0.95, "image {}: {right}", row.stamp.0);
     }
+}
+
+/// As `scene_labels` learns: from what a network that photographs have taught sees.
+fn network() -> Vec<PixelPerceptron> {
+    let frames: Vec<_> = (0..4).map(labelled).collect();
+    let params = json!({
+        "samples": 300, "sift_bins_px": [], "windows_px": [], "backbone_areas_px": [12288]
+    });
+    let inputs = [inputs_of("labelled_frames", frames).unwrap()];
+    let (samples, losses): (Vec<PixelSamples>, _) = yields("pixel_samples", params, inputs);
+    assert!(losses.is_empty(), "{losses:?}");
+    assert_eq!(samples[0].dimensions, 466);
+    let params = json!({ "least_steps": 300 });
+    let (members, losses) = yields(
+        "pixel_network",
+        params,
+        [inputs_of("samples", samples).unwrap()],
+    );
+    assert!(losses.is_empty(), "{losses:?}");
+    members
+}
+
+#[test]
+fn a_network_finds_in_others_what_is_labelled_in_some_images() {
+    let members = network();
+    let held_out: Vec<i64> = members
+        .iter()
+        .map(|member| member.held_out[0].first_stamp.0)
+        .collect();
+    assert_eq!(held_out, [0, 1, 2, 3]);
+    let inputs = |members: &[PixelPerceptron], trees: Vec<DecisionTree>| {
+        let shots: Vec<Shot> = (0..8).map(|n| shot(n, picture(n))).collect();
+        [
+            inputs_of("frames", shots).unwrap(),
+            inputs_of("forest", trees).unwrap(),
+            inputs_of("network", members.to_vec()).unwrap(),
+        ]
+    };
+    let score = |members: &[PixelPerceptron]| -> (Vec<ClassScores>, Losses) {
+        yields(
+            "class_scores",
+            json!({ "stride_px": 2 }),
+            inputs(members, Vec::new()),
+        )
+    };
+    let (rows, losses) = score(&members);
+    assert!(losses.is_empty() && rows.len() == 8, "{losses:?}");
+    for row in &rows {
+        let right = right(row);
+        assert!(right > 0.93, "image {}: {right}", row.stamp.0);
+    }
+    // Images 0 to 3 are scored by a member each, the others by all.
+    let (first, _) = score(&members[..1]);
+    assert!(first[0] == rows[0] && first[1] != rows[1]);
+    let (samples, _) = samples((0..4).map(labelled).collect());
+    let inputs = inputs(&members, forest(samples).0).into_iter().collect();
+    let registry = evermap_catalog::registry();
+    let entry = registry.get("class_scores").unwrap();
+    let fault = run(entry, &json!({}), &inputs, Split::default()).unwrap_err();
+    let said = fault.to_string();
+    assert!(
+        said.contains("expected a forest or a network, found both"),
+        "{said}"
+    );
 }
 
 #[test]

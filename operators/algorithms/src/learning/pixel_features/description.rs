@@ -39,10 +39,15 @@ pub struct FeatureOptions {
     /// Where colour and texture are averaged: columns away, rows away, and h of a window that is 2 h + 1 wide (px). By
     /// default 4 about the pixel, 24 around it.
     pub windows_px: Vec<Window>,
+    /// Sizes (px²) that an image is brought to for a network that photographs have taught (EfficientNet-Lite0), once per
+    /// size, 4096 to 2097152; 464 values each. None by default.
+    #[schemars(inner(range(min = 4096, max = 2_097_152)))]
+    pub backbone_areas_px: Vec<u32>,
 }
 
 /// Which features a pixel has, in this order: SIFT at each bin size (128 values each), eight means of each window (L*,
-/// a*, b*, red and green chromaticity, gradients along both axes, deviation of L*), the row, and, unless the image wraps, the column.
+/// a*, b*, red and green chromaticity, gradients along both axes, deviation of L*), what a network sees at each size (464
+/// values each), the row, and, unless the image wraps, the column.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(default)]
 pub struct FeatureDescription {
@@ -72,7 +77,13 @@ pub enum FeatureError {
         /// Labels given.
         found: usize,
     },
+    /// What a network sees is wanted, and it has not looked, or not as expected.
+    #[error("features: {0}")]
+    Backbone(String),
 }
+
+/// Values that a network has for a pixel: those of all its stages.
+pub const BACKBONE_CHANNELS: usize = 464;
 
 impl Default for FeatureOptions {
     /// What paid for itself on street scenes of 480 × 360.
@@ -82,6 +93,7 @@ impl Default for FeatureOptions {
         Self {
             sift_bins_px: vec![4, 8],
             windows_px,
+            backbone_areas_px: Vec::new(),
         }
     }
 }
@@ -92,9 +104,11 @@ impl FeatureDescription {
         let FeatureOptions {
             sift_bins_px,
             windows_px,
+            backbone_areas_px,
         } = &self.options;
         sift_bins_px.len() * sift::DIMENSIONS
             + windows_px.len() * CHANNELS
+            + backbone_areas_px.len() * BACKBONE_CHANNELS
             + if self.wraps { 1 } else { 2 }
     }
 
@@ -110,6 +124,7 @@ impl FeatureDescription {
         let FeatureOptions {
             sift_bins_px,
             windows_px,
+            backbone_areas_px,
         } = &self.options;
         for bin in sift_bins_px {
             // Sums of 32⁴ weights still fit 32 bits.
@@ -130,6 +145,13 @@ impl FeatureDescription {
                 "windows at most 65535 px away",
                 furthest.into(),
                 furthest <= 65_535,
+            )?;
+        }
+        for area in backbone_areas_px {
+            range(
+                "a network's images of 4096 to 2097152 px²",
+                (*area).into(),
+                (4096..=2_097_152).contains(area),
             )?;
         }
         let most = sift_bins_px.len().max(windows_px.len());

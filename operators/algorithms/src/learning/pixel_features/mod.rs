@@ -1,15 +1,18 @@
-//! What a classifier of pixels sees of a pixel: dense SIFT, colour, the means of windows around it, and where it is.
+//! What a classifier of pixels sees of a pixel: dense SIFT, colour, the means of windows around it, what a network that
+//! photographs have taught sees there, and where it is.
 //!
 //! ```text
 //!            ┌─► luma ─► gradient ─► 8 directions ─► tents ─► SIFT at each bin size ──┐
 //!   RGB ─────┤                                                                        ├─► bytes of one pixel
-//!            └─► L*a*b*, chromaticity, gradient ─► integral images ─► window means ───┘
+//!            ├─► L*a*b*, chromaticity, gradient ─► integral images ─► window means ───┤
+//!            └─► network, at several sizes ─► maps of each stage ─────────────────────┘
 //! ```
 //! All values are bytes: a forest then splits by histograms of 256 bins, and a row of pixels fits the cache.
 
 mod boxes;
 mod colour;
 mod description;
+mod maps;
 mod sampling;
 mod sift;
 mod smooth;
@@ -18,7 +21,10 @@ mod smooth;
 mod tests;
 
 use boxes::Integrals;
-pub use description::{FeatureDescription, FeatureError, FeatureOptions, Window};
+pub use description::{
+    BACKBONE_CHANNELS, FeatureDescription, FeatureError, FeatureOptions, Window,
+};
+pub use maps::FeatureMap;
 pub use sampling::{LabelledFeatures, SamplingOptions, labelled_features};
 use sift::DenseSift;
 use smooth::Edge;
@@ -28,6 +34,12 @@ use crate::learning::dense_crf::ColourView;
 /// L*, a*, b*, two chromaticities, two gradients, squared L*.
 const CHANNELS: usize = 8;
 
+/// What a network sees of an image that is brought to so many pixels, stage by stage: [`BACKBONE_CHANNELS`] in all.
+pub type Backbone = fn(&ColourView<'_>, u32) -> Result<Vec<FeatureMap>, String>;
+
+/// For features without a network.
+pub const NO_BACKBONE: Backbone = |_, _| Err("expected a network, found none".to_owned());
+
 /// The features of all pixels of an image, ready to be read.
 pub struct PixelFeatures {
     description: FeatureDescription,
@@ -35,16 +47,18 @@ pub struct PixelFeatures {
     height: usize,
     sift: Vec<DenseSift>,
     colour: Integrals<CHANNELS>,
+    maps: Vec<FeatureMap>,
 }
 
 impl PixelFeatures {
     /// Prepares an image: red, green, blue.
     ///
     /// # Errors
-    /// [`FeatureError`] for a description that is out of range.
+    /// [`FeatureError`] for a description that is out of range, and where the network fails.
     pub fn new(
         description: &FeatureDescription,
         image: &ColourView<'_>,
+        backbone: Backbone,
     ) -> Result<Self, FeatureError> {
         description.check()?;
         let size = [image.width(), image.height()];
@@ -56,6 +70,7 @@ impl PixelFeatures {
                 .map(|bin| DenseSift::new(&luma, size, *bin as usize, edge))
                 .collect(),
             colour: Integrals::new(channels(image, &luma, edge), size, edge),
+            maps: maps(&description.options.backbone_areas_px, image, backbone)?,
             description: description.clone(),
             width: image.width(),
             height: image.height(),
@@ -86,6 +101,13 @@ impl PixelFeatures {
             part.copy_from_slice(&self.window(u, v, window));
             rest = after;
         }
+        for map in &self.maps {
+            let Some((part, after)) = rest.split_at_mut_checked(map.channels) else {
+                return;
+            };
+            map.write(u, v, part);
+            rest = after;
+        }
         for (out, value) in rest.iter_mut().zip(self.position(u, v)) {
             *out = value;
         }
@@ -112,6 +134,25 @@ impl PixelFeatures {
         let column = (!self.description.wraps).then(|| share(u, self.width));
         std::iter::once(row).chain(column)
     }
+}
+
+/// What the network sees at each size.
+fn maps(
+    areas_px: &[u32],
+    image: &ColourView<'_>,
+    backbone: Backbone,
+) -> Result<Vec<FeatureMap>, FeatureError> {
+    let mut all = Vec::new();
+    for area in areas_px {
+        let maps = backbone(image, *area).map_err(FeatureError::Backbone)?;
+        let channels: usize = maps.iter().map(|map| map.channels).sum();
+        if channels != BACKBONE_CHANNELS || !maps.iter().all(FeatureMap::is_whole) {
+            let found = format!("expected {BACKBONE_CHANNELS} values, found {channels}");
+            return Err(FeatureError::Backbone(found));
+        }
+        all.extend(maps);
+    }
+    Ok(all)
 }
 
 /// The channels of each pixel.

@@ -3,7 +3,7 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::{FeatureDescription, FeatureError, PixelFeatures};
+use super::{Backbone, FeatureDescription, FeatureError, PixelFeatures};
 use crate::learning::dense_crf::ColourView;
 use crate::solving::random::SplitMix64;
 
@@ -70,6 +70,7 @@ pub fn labelled_features(
     labels: &[u8],
     classes: usize,
     options: &SamplingOptions,
+    backbone: Backbone,
 ) -> Result<LabelledFeatures, FeatureError> {
     let expected = image.pixels().len();
     if labels.len() != expected {
@@ -77,14 +78,14 @@ pub fn labelled_features(
         return Err(FeatureError::Labels { expected, found });
     }
     let mut result = LabelledFeatures::default();
-    result.add(description, image, labels, classes, options)?;
+    result.add(description, image, labels, classes, options, backbone)?;
     if options.mirror {
         let class_pixels = std::mem::take(&mut result.class_pixels);
         let colours = mirrored(image.pixels(), image.width());
         let size = [image.width(), image.height()].map(|side| side as u32);
         if let Some(image) = ColourView::new(size[0], size[1], colours.as_flattened()) {
             let labels = mirrored(labels, image.width());
-            result.add(description, &image, &labels, classes, options)?;
+            result.add(description, &image, &labels, classes, options, backbone)?;
         }
         result.class_pixels = class_pixels;
     }
@@ -105,8 +106,9 @@ impl LabelledFeatures {
         labels: &[u8],
         classes: usize,
         options: &SamplingOptions,
+        backbone: Backbone,
     ) -> Result<(), FeatureError> {
-        let features = PixelFeatures::new(description, image)?;
+        let features = PixelFeatures::new(description, image, backbone)?;
         let width = image.width();
         let chosen = sample_pixels(labels, width, classes, options);
         let (from, dimensions) = (self.values.len(), description.dimensions());

@@ -45,8 +45,8 @@ fn a_panorama_that_is_turned_has_its_features_turned() {
         wraps: true,
         ..FeatureDescription::default()
     };
-    let one = PixelFeatures::new(&what, &view(width, height, &data)).unwrap();
-    let other = PixelFeatures::new(&what, &view(width, height, &turned)).unwrap();
+    let one = PixelFeatures::new(&what, &view(width, height, &data), NO_BACKBONE).unwrap();
+    let other = PixelFeatures::new(&what, &view(width, height, &turned), NO_BACKBONE).unwrap();
     for (u, v) in [(0, 0), (5, 3), (30, 11), (63, 23), (41, 20)] {
         let there = (u + width - turn) % width;
         assert_eq!(
@@ -61,7 +61,7 @@ fn a_panorama_that_is_turned_has_its_features_turned() {
 fn a_flat_image_has_its_colour_and_no_texture() {
     let data = [200_u8, 200, 200].repeat(40 * 30);
     let what = FeatureDescription::default();
-    let features = PixelFeatures::new(&what, &view(40, 30, &data)).unwrap();
+    let features = PixelFeatures::new(&what, &view(40, 30, &data), NO_BACKBONE).unwrap();
     let found = values(&features, &what, 17, 12);
     let sift = what.options.sift_bins_px.len() * sift::DIMENSIONS;
     assert!(found[..sift].iter().all(|value| *value == 0));
@@ -86,16 +86,67 @@ fn descriptors_keep_their_values_in_other_light() {
         options: FeatureOptions {
             sift_bins_px: vec![4],
             windows_px: Vec::new(),
+            backbone_areas_px: Vec::new(),
         },
         wraps: false,
     };
     let [dim, bright] = [&dim, &bright].map(|data| {
-        let features = PixelFeatures::new(&what, &view(48, 48, data)).unwrap();
+        let features = PixelFeatures::new(&what, &view(48, 48, data), NO_BACKBONE).unwrap();
         values(&features, &what, 24, 24)
     });
     let worst = dim.iter().zip(&bright).map(|(a, b)| a.abs_diff(*b)).max();
     assert!(worst <= Some(3), "{worst:?}");
     assert!(dim.iter().any(|value| *value > 60));
+}
+
+/// Sees the area, as a number, in every second cell.
+fn stripes(image: &ColourView<'_>, area_px: u32) -> Result<Vec<FeatureMap>, String> {
+    let size = [image.width() / 2, image.height() / 2];
+    let value = |at: usize| (at.is_multiple_of(2) as u32 * area_px) as f32 / 4096.0;
+    let values = (0..size[0] * size[1]).map(value);
+    Ok(vec![FeatureMap {
+        channels: BACKBONE_CHANNELS,
+        size,
+        cells_per_px: [0.5; 2],
+        values: values
+            .flat_map(|value| [value; BACKBONE_CHANNELS])
+            .collect(),
+    }])
+}
+
+#[test]
+fn what_a_network_sees_stands_behind_windows_at_each_size() {
+    let data = picture(16, 8, 3);
+    let what = FeatureDescription {
+        options: FeatureOptions {
+            sift_bins_px: Vec::new(),
+            windows_px: Vec::new(),
+            backbone_areas_px: vec![4096, 8192],
+        },
+        wraps: true,
+    };
+    assert_eq!(what.dimensions(), 2 * BACKBONE_CHANNELS + 1);
+    let features = PixelFeatures::new(&what, &view(16, 8, &data), stripes).unwrap();
+    let found = values(&features, &what, 8, 4);
+    // A quarter of a cell before the middle of a striped one, whose neighbours see nothing.
+    assert!(
+        found[..BACKBONE_CHANNELS].iter().all(|byte| *byte == 131),
+        "{found:?}"
+    );
+    assert!(
+        found[BACKBONE_CHANNELS..][..BACKBONE_CHANNELS]
+            .iter()
+            .all(|byte| *byte == 134)
+    );
+    assert_eq!(found[2 * BACKBONE_CHANNELS], 128);
+    let refused = |backbone: Backbone| {
+        let features = PixelFeatures::new(&what, &view(16, 8, &data), backbone);
+        features.err().map(|error| error.to_string())
+    };
+    let said = "features: expected a network, found none";
+    assert_eq!(refused(NO_BACKBONE).as_deref(), Some(said));
+    let said = "features: expected 464 values, found 0";
+    assert_eq!(refused(|_, _| Ok(Vec::new())).as_deref(), Some(said));
 }
 
 #[test]
@@ -109,10 +160,11 @@ fn an_edge_is_seen_in_its_direction() {
         options: FeatureOptions {
             sift_bins_px: vec![3],
             windows_px: Vec::new(),
+            backbone_areas_px: Vec::new(),
         },
         wraps: false,
     };
-    let features = PixelFeatures::new(&what, &view(32, 32, &data)).unwrap();
+    let features = PixelFeatures::new(&what, &view(32, 32, &data), NO_BACKBONE).unwrap();
     let found = values(&features, &what, 16, 16);
     let energy = |direction: usize| -> u32 {
         found[..sift::DIMENSIONS]
@@ -129,8 +181,9 @@ fn an_edge_is_seen_in_its_direction() {
 #[test]
 fn senseless_descriptions_are_refused() {
     let data = picture(20, 10, 1);
-    let refused =
-        |what: &FeatureDescription| PixelFeatures::new(what, &view(20, 10, &data)).is_err();
+    let refused = |what: &FeatureDescription| {
+        PixelFeatures::new(what, &view(20, 10, &data), NO_BACKBONE).is_err()
+    };
     let good = FeatureDescription::default();
     assert!(!refused(&good));
     let window = |half, du| Window { du, dv: 0, half };
@@ -206,7 +259,14 @@ fn samples_are_also_of_the_mirror_image() {
     let labels: Vec<u8> = (0..240).map(|i| if i % 24 < 12 { 0 } else { 9 }).collect();
     let what = FeatureDescription::default();
     let of = |options: &SamplingOptions| {
-        labelled_features(&what, &view(24, 10, &data), &labels, 2, options)
+        labelled_features(
+            &what,
+            &view(24, 10, &data),
+            &labels,
+            2,
+            options,
+            NO_BACKBONE,
+        )
     };
     let mut options = SamplingOptions {
         samples: 1000,
@@ -226,7 +286,14 @@ fn samples_are_also_of_the_mirror_image() {
         .map(|s| s[s.len() - 1])
         .collect();
     assert!(columns[..120].iter().all(|u| *u < 128) && columns[120..].iter().all(|u| *u >= 128));
-    let short = labelled_features(&what, &view(24, 10, &data), &labels[1..], 2, &options);
+    let short = labelled_features(
+        &what,
+        &view(24, 10, &data),
+        &labels[1..],
+        2,
+        &options,
+        NO_BACKBONE,
+    );
     assert!(matches!(short, Err(FeatureError::Labels { .. })));
 }
 
@@ -297,7 +364,7 @@ proptest! {
     ) {
         let data = picture(width, height, 5);
         let what = FeatureDescription { wraps, ..FeatureDescription::default() };
-        let features = PixelFeatures::new(&what, &view(width, height, &data)).unwrap();
+        let features = PixelFeatures::new(&what, &view(width, height, &data), NO_BACKBONE).unwrap();
         let mut out = vec![0; room];
         features.write(u, v, &mut out);
         features.write(0, 0, &mut out);

@@ -2,7 +2,7 @@
 //!
 //! Features are bytes, so a split is found by a histogram of 256 bins and a node takes 8 bytes. A tree can hold out one
 //! block of the samples (say, one stretch of a drive), which gives honest scores of training samples: see
-//! [`Samples::blocks`].
+//! [`Samples::blocks`](crate::learning::samples::Samples::blocks).
 
 mod prediction;
 mod split;
@@ -13,7 +13,7 @@ mod tree;
 mod tests;
 
 pub use prediction::Forest;
-pub use training::{ForestOptions, Samples, train};
+pub use training::{ForestOptions, train};
 pub use tree::{Node, Tree, TreeError};
 
 /// Class probabilities as they would be if the classes' frequencies were `frequencies` to the power `power` instead of

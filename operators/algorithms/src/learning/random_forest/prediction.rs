@@ -2,6 +2,7 @@
 //! samples side by side.
 
 use super::tree::{Node, Tree, TreeError};
+use crate::learning::samples::voters;
 use crate::processor::vectorised;
 
 /// A node in one number: from the lowest bit on its threshold, its feature and its left child. A leaf is its own left
@@ -91,23 +92,21 @@ impl Forest {
     /// distributions; samples beyond either are left out.
     pub fn predict(&self, values: &[u8], block: Option<u32>, scores: &mut [f32]) {
         scores.fill(0.0);
-        let held_out = |tree: &&PackedTree| block.is_some() && tree.held_out == block;
-        let any = self.trees.iter().any(|tree| held_out(&tree));
-        let chosen = || self.trees.iter().filter(|tree| !any || held_out(tree));
+        let voters = voters(&self.trees, block, |tree| tree.held_out);
         let block = (BLOCK_BYTES / self.dimensions).max(LANES);
         let blocks = values.chunks(block * self.dimensions);
         let mut ends = Vec::new();
         for (values, scores) in blocks.zip(scores.chunks_mut(block * self.classes)) {
             let samples = (values.len() / self.dimensions).min(scores.len() / self.classes);
             ends.resize(samples + 1, 0);
-            for tree in chosen() {
+            for tree in &voters {
                 vectorised(
                     #[inline(always)]
                     || tree.add(values, self.dimensions, &mut ends, scores, self.classes),
                 );
             }
         }
-        let share = (chosen().count() as f32).recip();
+        let share = (voters.len() as f32).recip();
         scores.iter_mut().for_each(|score| *score *= share);
     }
 }

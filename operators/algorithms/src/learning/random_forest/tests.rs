@@ -3,6 +3,7 @@ use proptest::prelude::*;
 
 use super::split::Histogram;
 use super::*;
+use crate::learning::samples::Samples;
 use crate::solving::random::SplitMix64;
 
 /// Two features decide (their exclusive or), the others are noise; class 2 is rare.

@@ -6,24 +6,8 @@ use serde::{Deserialize, Serialize};
 
 use super::split::{Histogram, Split};
 use super::tree::{Node, Tree};
+use crate::learning::samples::Samples;
 use crate::solving::random::SplitMix64;
-
-/// What a forest learns from.
-#[derive(Debug, Clone, Copy)]
-pub struct Samples<'a> {
-    /// Number of features of a sample.
-    pub dimensions: usize,
-    /// Number of classes.
-    pub classes: usize,
-    /// Class of each sample, below `classes`.
-    pub labels: &'a [u8],
-    /// Features of one sample after the other, `dimensions` each.
-    pub values: &'a [u8],
-    /// Block of each sample, or empty for none. Each tree in turn sees no sample of one block, unless there is only one:
-    /// its scores of those are as of samples never seen. Samples that are alike (of one image, one stretch of a drive) belong in
-    /// one block.
-    pub blocks: &'a [u32],
-}
 
 /// How a forest is learnt.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -62,21 +46,16 @@ impl Default for ForestOptions {
 /// The trees of a forest; the same for any number of threads. None from no samples, or where `values` and `labels` do
 /// not fit each other; samples whose class is out of range are left out.
 pub fn train(samples: &Samples<'_>, options: &ForestOptions) -> Vec<Tree> {
-    let count = samples.labels.len();
-    let fits = samples.values.len() == count * samples.dimensions
-        && (samples.blocks.is_empty() || samples.blocks.len() == count);
-    if count == 0 || !fits || !(1..=1 << 16).contains(&samples.dimensions) {
+    let held_out = samples.held_out(options.trees);
+    if held_out.is_empty() || !(1..=1 << 16).contains(&samples.dimensions) {
         return Vec::new();
     }
     let columns = columns(samples);
-    let mut blocks = samples.blocks.to_vec();
-    blocks.sort_unstable();
-    blocks.dedup();
-    (0..options.trees)
+    held_out
         .into_par_iter()
-        .map(|tree| {
-            let held_out = (blocks.len() > 1).then(|| blocks[tree as usize % blocks.len()]);
-            Growth::new(samples, &columns, options, held_out, tree).grow()
+        .enumerate()
+        .map(|(tree, held_out)| {
+            Growth::new(samples, &columns, options, held_out, tree as u32).grow()
         })
         .collect()
 }

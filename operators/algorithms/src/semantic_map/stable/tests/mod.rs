@@ -11,7 +11,8 @@ use super::registration::{self, Pyramid, Registration, State, register};
 use super::sphere::Lens;
 use super::{inference, surroundings, warp};
 use crate::geometry::pose::Pose;
-use crate::learning::random_forest::{Forest, ForestOptions, Samples, train};
+use crate::learning::random_forest::{Forest, ForestOptions, train};
+use crate::learning::samples::Samples;
 use crate::semantic_map::semantic_graph::{Labels, VOID};
 use room::{Block, CAR, FLOOR, PILLAR, SIGN, SKY, View, WALL, car, yard};
 
