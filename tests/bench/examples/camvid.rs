@@ -22,7 +22,7 @@ use evermap_algorithms::learning::dense_crf::{ColourView, Kernels, MeanField, Ra
 use evermap_algorithms::learning::perceptron::{self, NetworkOptions};
 use evermap_algorithms::learning::pixel_classifier::PixelClassifier;
 use evermap_algorithms::learning::pixel_features::{
-    Backbone, FeatureDescription, FeatureMap, SamplingOptions, labelled_features,
+    Backbone, FeatureDescription, SamplingOptions, labelled_features,
 };
 use evermap_algorithms::learning::random_forest::{
     ForestOptions, prior_factors, train, with_priors,
@@ -112,6 +112,7 @@ fn arguments() -> Result<Arguments, Failure> {
 /// What EfficientNet-Lite0 sees.
 #[cfg(feature = "opencv")]
 const BACKBONE: Backbone = |image, area_px| {
+    use evermap_algorithms::learning::pixel_features::FeatureMap;
     let size = [image.width(), image.height()].map(|side| side as u32);
     let found = evermap_vision::activations(size, image.pixels().as_flattened(), area_px);
     let map = |stage: evermap_vision::Activation| FeatureMap {
