@@ -32,8 +32,8 @@ pub struct Perceptron {
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum NetworkError {
     /// There is none.
-    #[error("expected at least one member, found none")]
-    Empty,
+    #[error("expected at least one {0}, found none")]
+    Empty(&'static str),
     /// Weights of another number than layers have.
     #[error("expected {expected} {what}, found {found}")]
     Count {
@@ -56,6 +56,11 @@ impl Perceptron {
     /// [`NetworkError`].
     pub fn check(&self, dimensions: usize, classes: usize) -> Result<(), NetworkError> {
         let units = self.hidden_biases.len();
+        for (what, count) in [("class", classes), ("hidden unit", units)] {
+            if count == 0 {
+                return Err(NetworkError::Empty(what));
+            }
+        }
         let counts = [
             ("weights of hidden units", units * dimensions, &self.hidden),
             ("weights of classes", classes * units, &self.output),

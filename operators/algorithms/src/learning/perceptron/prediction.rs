@@ -24,7 +24,7 @@ impl Network {
         classes: usize,
     ) -> Result<Self, NetworkError> {
         if members.is_empty() {
-            return Err(NetworkError::Empty);
+            return Err(NetworkError::Empty("member"));
         }
         for member in &members {
             member.check(dimensions, classes)?;
@@ -39,11 +39,6 @@ impl Network {
     /// Number of classes.
     pub fn classes(&self) -> usize {
         self.classes
-    }
-
-    /// Number of features of a sample.
-    pub fn dimensions(&self) -> usize {
-        self.dimensions
     }
 
     /// Probabilities of the classes for each sample, all classes taken for equally frequent: the mean over all members, or,
@@ -72,14 +67,11 @@ impl Perceptron {
     /// A column of probabilities for each column of features.
     fn scores(&self, values: &DMatrixView<'_, f32>, classes: usize) -> DMatrix<f32> {
         let units = self.hidden_biases.len();
-        let [dimensions, samples] = [values.nrows(), values.ncols()];
-        let hidden = DMatrixView::from_slice(&self.hidden, dimensions, units);
-        let mut inner = repeated(&self.hidden_biases, samples);
-        inner.gemm_tr(1.0, &hidden, values, 1.0);
+        let hidden = DMatrixView::from_slice(&self.hidden, values.nrows(), units);
+        let mut inner = forward(&hidden, &self.hidden_biases, values);
         inner.iter_mut().for_each(|value| *value = value.max(0.0));
         let output = DMatrixView::from_slice(&self.output, units, classes);
-        let mut scores = repeated(&self.output_biases, samples);
-        scores.gemm_tr(1.0, &output, &inner, 1.0);
+        let mut scores = forward(&output, &self.output_biases, &inner.as_view());
         scores
             .as_mut_slice()
             .chunks_exact_mut(classes)
@@ -88,7 +80,14 @@ impl Perceptron {
     }
 }
 
-/// A column as often as there are samples.
-pub(super) fn repeated(column: &[f32], samples: usize) -> DMatrix<f32> {
-    DMatrix::from_fn(column.len(), samples, |row, _| column[row])
+/// What a layer gives for each column of values, before anything is cut off: weights have a column a unit.
+pub(super) fn forward(
+    weights: &DMatrixView<'_, f32>,
+    biases: &[f32],
+    values: &DMatrixView<'_, f32>,
+) -> DMatrix<f32> {
+    let mut result = DMatrix::from_fn(biases.len(), values.ncols(), |unit, _| biases[unit]);
+    // Products of transposed matrices are taken number by number; a copy of the weights costs less.
+    result.gemm(1.0, &weights.transpose(), values, 1.0);
+    result
 }

@@ -110,10 +110,20 @@ fn what_does_not_fit_is_refused() {
     let good = train(&samples(&labels, &values, &[]), &options())[0].clone();
     assert_eq!(
         Network::new(Vec::new(), 3, 2).unwrap_err(),
-        NetworkError::Empty
+        NetworkError::Empty("member")
     );
     assert!(Network::new(vec![good.clone()], 4, 2).is_err());
     assert!(Network::new(vec![good.clone()], 3, 3).is_err());
+    let nothing = Perceptron {
+        hidden: Vec::new(),
+        hidden_biases: Vec::new(),
+        output: Vec::new(),
+        output_biases: Vec::new(),
+        held_out: None,
+    };
+    let refused = |classes| nothing.check(3, classes);
+    assert_eq!(refused(0), Err(NetworkError::Empty("class")));
+    assert_eq!(refused(2), Err(NetworkError::Empty("hidden unit")));
     let mut torn = good.clone();
     torn.hidden_biases.pop();
     let said = torn.check(3, 2).unwrap_err().to_string();

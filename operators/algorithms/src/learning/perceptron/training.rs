@@ -5,7 +5,7 @@ use rayon::prelude::*;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::prediction::repeated;
+use super::prediction::forward;
 use super::{Perceptron, softmax};
 use crate::learning::samples::Samples;
 use crate::solving::random::SplitMix64;
@@ -252,9 +252,8 @@ impl Layer {
     }
 
     fn forward(&self, values: &DMatrix<f32>) -> DMatrix<f32> {
-        let mut result = repeated(self.biases.as_slice(), values.ncols());
-        result.gemm_tr(1.0, &self.weights, values, 1.0);
-        result
+        let (weights, values) = (self.weights.as_view(), values.as_view());
+        forward(&weights, self.biases.as_slice(), &values)
     }
 
     /// A step down a slope of what the layer gave, of these values.

@@ -46,7 +46,8 @@ pub struct PixelFeatures {
     width: usize,
     height: usize,
     sift: Vec<DenseSift>,
-    colour: Integrals<CHANNELS>,
+    /// Where there are windows.
+    colour: Option<Integrals<CHANNELS>>,
     maps: Vec<FeatureMap>,
 }
 
@@ -69,7 +70,8 @@ impl PixelFeatures {
             sift: sift
                 .map(|bin| DenseSift::new(&luma, size, *bin as usize, edge))
                 .collect(),
-            colour: Integrals::new(channels(image, &luma, edge), size, edge),
+            colour: (!description.options.windows_px.is_empty())
+                .then(|| Integrals::new(channels(image, &luma, edge), size, edge)),
             maps: maps(&description.options.backbone_areas_px, image, backbone)?,
             description: description.clone(),
             width: image.width(),
@@ -94,11 +96,12 @@ impl PixelFeatures {
             sift.write(u, v, part);
             rest = after;
         }
-        for window in &self.description.options.windows_px {
+        let windows = self.description.options.windows_px.iter();
+        for (window, colour) in windows.zip(self.colour.iter().cycle()) {
             let Some((part, after)) = rest.split_at_mut_checked(CHANNELS) else {
                 return;
             };
-            part.copy_from_slice(&self.window(u, v, window));
+            part.copy_from_slice(&window_means(colour, u, v, window));
             rest = after;
         }
         for map in &self.maps {
@@ -113,20 +116,6 @@ impl PixelFeatures {
         }
     }
 
-    fn window(&self, u: usize, v: usize, window: &Window) -> [u8; CHANNELS] {
-        let (u, v) = (
-            u as isize + window.du as isize,
-            v as isize + window.dv as isize,
-        );
-        let (sums, count) = self.colour.around(u, v, window.half as usize);
-        let scale = (count.max(1) as f32).recip();
-        let means = sums.map(|sum| sum as f32 * scale);
-        let deviation = (means[7] - means[0] * means[0]).max(0.0).sqrt();
-        let byte = |value: f32| (value + 0.5) as u8;
-        let [l, a, b, red, green, gx, gy, _] = means;
-        [l, a, b, red, green, gx, gy, 2.0 * deviation].map(byte)
-    }
-
     /// Row, and column where the image has two ends, each as a share of the image.
     fn position(&self, u: usize, v: usize) -> impl Iterator<Item = u8> {
         let share = |at: usize, length: usize| (at * 256 / length) as u8;
@@ -134,6 +123,26 @@ impl PixelFeatures {
         let column = (!self.description.wraps).then(|| share(u, self.width));
         std::iter::once(row).chain(column)
     }
+}
+
+/// Means of a window of a pixel.
+fn window_means(
+    colour: &Integrals<CHANNELS>,
+    u: usize,
+    v: usize,
+    window: &Window,
+) -> [u8; CHANNELS] {
+    let (u, v) = (
+        u as isize + window.du as isize,
+        v as isize + window.dv as isize,
+    );
+    let (sums, count) = colour.around(u, v, window.half as usize);
+    let scale = (count.max(1) as f32).recip();
+    let means = sums.map(|sum| sum as f32 * scale);
+    let deviation = (means[7] - means[0] * means[0]).max(0.0).sqrt();
+    let byte = |value: f32| (value + 0.5) as u8;
+    let [l, a, b, red, green, gx, gy, _] = means;
+    [l, a, b, red, green, gx, gy, 2.0 * deviation].map(byte)
 }
 
 /// What the network sees at each size.
