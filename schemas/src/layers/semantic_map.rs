@@ -243,6 +243,8 @@ record! {
         pixel_accuracy: f64,
         /// Mean over the classes of the share of their pixels that are right.
         class_accuracy: f64,
+        /// Images that were labelled with them: fewer than others where they were clearly worse.
+        images: u32,
     }
 }
 

@@ -5,9 +5,10 @@
 //! cargo run --release --example camvid -p evermap-bench -- TRAINING_FOLDER --test TEST_FOLDER
 //! ```
 //! `--network` learns perceptrons, as `scene_labels` does, instead of a forest (with `--features opencv`).
-//! `--dump FOLDER` only writes the samples, for `tests/peers/pixel_forest.py`. Folds are contiguous parts of each sequence, or every n-th frame with `--interleaved`. The prior power and the weight of
-//! the kernels are those that do best on training frames, each scored by trees that have not seen its part of
-//! the drive: no test frame is looked at.
+//! `--dump FOLDER` only writes the samples, for `tests/peers/pixel_forest.py`. Folds are contiguous parts of each
+//! sequence, or every n-th frame with `--interleaved`. The prior power, unless it is given (`--prior-power`), and the kernels are
+//! those that do best on training frames, each scored by trees or members that have not seen its part of the drive: no test
+//! frame is looked at.
 #![allow(
     clippy::print_stdout,
     clippy::print_stderr,
@@ -18,7 +19,9 @@
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
-use evermap_algorithms::learning::dense_crf::{ColourView, Kernels, MeanField, RandomField, Unary};
+use evermap_algorithms::learning::dense_crf::{
+    ColourView, Example, Kernels, MeanField, RandomField, SearchOptions, Unary, search,
+};
 use evermap_algorithms::learning::perceptron::{self, NetworkOptions};
 use evermap_algorithms::learning::pixel_classifier::PixelClassifier;
 use evermap_algorithms::learning::pixel_features::{
@@ -45,10 +48,8 @@ const CLASSES: [&str; 11] = [
     "bicyclist",
 ];
 const POWERS: [f64; 9] = [-0.5, -0.4, -0.3, -0.2, -0.1, 0.0, 0.1, 0.2, 0.4];
-/// Of both kernels.
-const WEIGHTS: [f64; 5] = [0.25, 0.5, 1.0, 2.0, 4.0];
-/// Training frames on which the field's parameters are chosen, every n-th.
-const CHOICE_STEP: usize = 9;
+/// The most training frames on which prior power and kernels are chosen.
+const CHOSEN_ON: usize = 24;
 
 struct Arguments {
     folder: PathBuf,
@@ -60,6 +61,7 @@ struct Arguments {
     stride: u32,
     blocks: usize,
     field: bool,
+    prior_power: Option<f64>,
     sampling: SamplingOptions,
     forest: ForestOptions,
     features: FeatureDescription,
@@ -77,6 +79,7 @@ fn arguments() -> Result<Arguments, Failure> {
         stride: 2,
         blocks: 5,
         field: true,
+        prior_power: None,
         sampling: SamplingOptions::default(),
         forest: ForestOptions::default(),
         features: FeatureDescription::default(),
@@ -92,6 +95,7 @@ fn arguments() -> Result<Arguments, Failure> {
             "--only" => parsed.only.push(value()?.parse()?),
             "--interleaved" => parsed.interleaved = true,
             "--no-field" => parsed.field = false,
+            "--prior-power" => parsed.prior_power = Some(value()?.parse()?),
             "--no-mirror" => parsed.sampling.mirror = false,
             "--stride" => parsed.stride = value()?.parse()?,
             "--blocks" => parsed.blocks = value()?.parse()?,
@@ -353,69 +357,86 @@ fn likeliest(probabilities: &[f32]) -> Vec<u8> {
         .collect()
 }
 
-fn by_field(frame: &Frame, probabilities: &[f32], weight: f64) -> Vec<u8> {
-    let kernels = Kernels {
-        appearance_px: 50.0,
-        appearance_colour: 10.0,
-        appearance_weight: weight,
-        smoothness_px: 3.0,
-        smoothness_weight: weight,
-    };
+fn by_field(frame: &Frame, probabilities: &[f32], kernels: &Kernels) -> Vec<u8> {
     let unary = Unary::from_probabilities(CLASSES.len(), probabilities).unwrap();
-    let field = RandomField::new(&frame.image(), &kernels, false).unwrap();
-    likeliest(
-        &field
-            .infer(&unary, MeanField::default().iterations)
-            .unwrap()
-            .probabilities,
-    )
+    let field = RandomField::new(&frame.image(), kernels, false).unwrap();
+    let found = field.infer(&unary, MeanField::default().iterations);
+    found.unwrap().labels()
 }
 
-/// The prior power and weight of the kernels that do best on training frames scored by trees that have not seen them.
-fn chosen(frames: &[&Frame], model: &Model, arguments: &Arguments) -> (f64, f64) {
-    let weights: &[f64] = if arguments.field { &WEIGHTS } else { &[0.0] };
-    let settings: Vec<(f64, f64)> = POWERS[..7]
-        .iter()
-        .step_by(if arguments.field { 2 } else { 1 })
-        .flat_map(|power| weights.iter().map(|weight| (*power, *weight)))
-        .collect();
-    let mut tallies = vec![Tally::default(); settings.len()];
-    for (frame, block) in frames
+/// Training frames, evenly from all, and their scores by members that have not seen them.
+fn held_out<'a>(
+    frames: &[&'a Frame],
+    model: &Model,
+    arguments: &Arguments,
+) -> Vec<(&'a Frame, Vec<f32>)> {
+    let step = frames.len().div_ceil(CHOSEN_ON);
+    let each: Vec<_> = frames
         .iter()
         .zip(&model.blocks)
-        .skip(CHOICE_STEP / 2)
-        .step_by(CHOICE_STEP)
-    {
+        .step_by(step.max(1))
+        .collect();
+    let scored = each.into_par_iter().map(|(frame, block)| {
+        let image = frame.image();
         let scores = model
             .classifier
-            .scores(&frame.image(), Some(*block), arguments.stride, BACKBONE)
-            .unwrap();
-        let found: Vec<Vec<u8>> = settings
-            .par_iter()
-            .map(|(power, weight)| {
-                let factors = prior_factors(&model.frequencies, *power);
-                let p = probabilities(frame, &scores, arguments.stride, &factors);
-                if arguments.field {
-                    by_field(frame, &p, *weight)
-                } else {
-                    likeliest(&p)
-                }
-            })
-            .collect();
-        tallies
-            .iter_mut()
-            .zip(found)
-            .for_each(|(tally, labels)| tally.add(frame, &labels));
-    }
-    let value = |tally: &Tally| tally.pixels() + tally.classes();
-    let best = (0..settings.len()).fold(0, |best, at| {
-        if value(&tallies[at]) > value(&tallies[best]) {
-            at
-        } else {
-            best
-        }
+            .scores(&image, Some(*block), arguments.stride, BACKBONE);
+        (*frame, scores.unwrap())
     });
-    settings[best]
+    scored.collect()
+}
+
+/// The prior power with which pixels and classes together come out best.
+fn best_power(held_out: &[(&Frame, Vec<f32>)], model: &Model, stride: u32) -> f64 {
+    let value = |power: f64| {
+        let factors = prior_factors(&model.frequencies, power);
+        let mut tally = Tally::default();
+        for (frame, scores) in held_out {
+            tally.add(
+                frame,
+                &likeliest(&probabilities(frame, scores, stride, &factors)),
+            );
+        }
+        tally.pixels() + tally.classes()
+    };
+    let values = POWERS.map(|power| (value(power), power));
+    values
+        .into_iter()
+        .max_by(|a, b| a.0.total_cmp(&b.0))
+        .unwrap()
+        .1
+}
+
+/// The kernels that `crf_settings` would choose.
+fn best_kernels(held_out: &[(&Frame, Vec<f32>)], factors: &[f32], stride: u32) -> Kernels {
+    let example = |(frame, scores): &(&'_ Frame, Vec<f32>)| {
+        let own = probabilities(frame, scores, stride, factors);
+        Unary::from_probabilities(CLASSES.len(), &own).unwrap()
+    };
+    let unaries: Vec<Unary> = held_out.iter().map(example).collect();
+    let examples: Vec<Example<'_>> = held_out
+        .iter()
+        .zip(unaries)
+        .map(|((frame, _), unary)| Example {
+            image: frame.image(),
+            unary,
+            wraps: false,
+            truth: &frame.labels,
+        })
+        .collect();
+    let trials = search(&examples, &SearchOptions::default()).unwrap();
+    let labelled: usize = trials.iter().map(|trial| trial.examples).sum();
+    let best = &trials[0];
+    let (pixels, classes) = (
+        best.confusion.pixel_accuracy(),
+        best.confusion.class_accuracy(),
+    );
+    eprintln!(
+        "{} trials, {labelled} labellings; {pixels:.4} {classes:.4} {:?}",
+        trials.len(),
+        best.kernels
+    );
+    best.kernels
 }
 
 #[derive(Clone, Default)]
@@ -427,11 +448,20 @@ struct Results {
 
 fn judge(training: &[&Frame], test: &[&Frame], arguments: &Arguments, results: &mut [Results; 3]) {
     let model = learn(training, arguments);
-    let (power, weight) = chosen(training, &model, arguments);
-    eprintln!("chosen on training frames: prior power {power}, weight {weight}");
+    let held_out = held_out(training, &model, arguments);
+    let power = arguments.prior_power;
+    let power = power.unwrap_or_else(|| best_power(&held_out, &model, arguments.stride));
+    eprintln!("prior power {power}");
+    let factors = prior_factors(&model.frequencies, power);
+    let searching = Instant::now();
+    let kernels = (arguments.field).then(|| best_kernels(&held_out, &factors, arguments.stride));
+    eprintln!(
+        "kernels found in {:.0} s",
+        searching.elapsed().as_secs_f64()
+    );
     let scoring = Instant::now();
     let scores: Vec<_> = test
-        .iter()
+        .par_iter()
         .map(|frame| {
             model
                 .classifier
@@ -450,7 +480,7 @@ fn judge(training: &[&Frame], test: &[&Frame], arguments: &Arguments, results: &
                 probabilities(frame, scores, arguments.stride, &factors)
             };
             let own = of(power);
-            let field = arguments.field.then(|| by_field(frame, &own, weight));
+            let field = kernels.map(|kernels| by_field(frame, &own, &kernels));
             (
                 POWERS.map(|power| likeliest(&of(power))),
                 likeliest(&own),
@@ -517,11 +547,11 @@ fn main() -> Result<(), Failure> {
             CLASSES.join(" ")
         );
         for (power, tally) in POWERS.iter().zip(&results.powers) {
-            println!("{}", tally.row(&format!("forest, prior power {power}")));
+            println!("{}", tally.row(&format!("prior power {power}")));
         }
         println!(
             "{}",
-            results.alone.row("forest, power chosen on training frames")
+            results.alone.row("prior power chosen on training frames")
         );
         println!("{}", results.with_field.row("and random field"));
     }

@@ -42,7 +42,7 @@ impl Default for CrfSettingsParams {
 
 impl Operator for CrfSettings {
     const NAME: &'static str = "crf_settings";
-    const VERSION: u32 = 4;
+    const VERSION: u32 = 5;
     const PAGE: &'static str = include_str!("crf_settings.md");
     type Params = CrfSettingsParams;
     type Output = CrfSetting;
@@ -202,5 +202,6 @@ fn setting(site: &str, rank: u32, trial: &Trial) -> CrfSetting {
         smoothness_weight: kernels.smoothness_weight,
         pixel_accuracy: trial.confusion.pixel_accuracy(),
         class_accuracy: trial.confusion.class_accuracy(),
+        images: trial.examples as u32,
     }
 }

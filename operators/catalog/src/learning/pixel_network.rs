@@ -35,7 +35,7 @@ impl Default for PixelNetworkParams {
 
 impl Operator for PixelNetwork {
     const NAME: &'static str = "pixel_network";
-    const VERSION: u32 = 1;
+    const VERSION: u32 = 2;
     const PAGE: &'static str = include_str!("pixel_network.md");
     type Params = PixelNetworkParams;
     type Output = PixelPerceptron;

@@ -19,6 +19,7 @@
 //! In a full panorama the last column is next to the first one: [`RandomField::new`] can wrap the columns around. The
 //! deviation along x is then rounded, so that the panorama is a whole number of lattice cells wide; no dimension is added.
 
+mod confusion;
 mod image;
 mod mean_field;
 mod search;
@@ -29,9 +30,10 @@ mod tiles;
 mod unary;
 mod upsample;
 
+pub use confusion::Confusion;
 pub use image::ColourView;
 pub use mean_field::RandomField;
-pub use search::{Confusion, Example, SearchOptions, Trial, search};
+pub use search::{Example, SearchOptions, Trial, search};
 pub use unary::Unary;
 
 use schemars::JsonSchema;

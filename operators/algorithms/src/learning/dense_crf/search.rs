@@ -1,13 +1,13 @@
 //! Kernels chosen by how well they label images whose classes are known.
 
 use std::collections::BTreeMap;
-use std::collections::btree_map::Entry;
+use std::iter;
 
 use rayon::prelude::*;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::{ColourView, CrfError, Kernels, MeanField, RandomField, Unary};
+use super::{ColourView, Confusion, CrfError, Kernels, MeanField, RandomField, Unary};
 
 /// An image whose classes are known, with costs from a classifier that has not learnt from it.
 #[derive(Debug, Clone)]
@@ -48,89 +48,42 @@ impl Default for SearchOptions {
     }
 }
 
-/// Which classes were found where: pixels by true and found class.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Confusion {
-    classes: usize,
-    pixels: Vec<u64>,
-}
-
-impl Confusion {
-    /// Of no pixels.
-    pub fn new(classes: usize) -> Self {
-        Self {
-            classes,
-            pixels: vec![0; classes * classes],
-        }
-    }
-
-    /// Counts pixels; those whose truth is no class are left out.
-    pub fn add(&mut self, truth: &[u8], found: &[u8]) {
-        for (truth, found) in truth.iter().zip(found) {
-            let (truth, found) = (usize::from(*truth), usize::from(*found));
-            if truth < self.classes && found < self.classes {
-                self.pixels[truth * self.classes + found] += 1;
-            }
-        }
-    }
-
-    /// Adds another's counts, of as many classes.
-    pub fn merge(&mut self, other: &Self) {
-        for (own, other) in self.pixels.iter_mut().zip(&other.pixels) {
-            *own += other;
-        }
-    }
-
-    /// The share of the pixels that are right; 0 without pixels.
-    pub fn pixel_accuracy(&self) -> f64 {
-        let right: u64 = (0..self.classes)
-            .map(|class| self.pixels[class * self.classes + class])
-            .sum();
-        right as f64 / self.pixels.iter().sum::<u64>().max(1) as f64
-    }
-
-    /// The mean, over the classes that there are, of the share of their pixels that are right; 0 without pixels.
-    pub fn class_accuracy(&self) -> f64 {
-        let of_class = |(class, row): (usize, &[u64])| {
-            let all = row.iter().sum::<u64>();
-            (all > 0).then(|| row[class] as f64 / all as f64)
-        };
-        let rows = self.pixels.chunks_exact(self.classes.max(1));
-        let shares: Vec<f64> = rows.enumerate().filter_map(of_class).collect();
-        shares.iter().sum::<f64>() / shares.len().max(1) as f64
-    }
-
-    /// The mean of the two.
-    pub fn score(&self) -> f64 {
-        0.5 * (self.pixel_accuracy() + self.class_accuracy())
-    }
-}
+/// Examples that are labelled before kernels are judged again.
+const HEAT: usize = 4;
 
 /// Kernels and how they did.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Trial {
     /// The kernels.
     pub kernels: Kernels,
-    /// What they found, over all examples.
+    /// Examples that they were tried on: all, or those after which they were clearly worse than others.
+    pub examples: usize,
+    /// What they found, over these examples.
     pub confusion: Confusion,
 }
 
 /// How often each parameter is multiplied by the square root of two, starting from the first kernels.
 type Steps = [i32; 5];
 
-/// Tries kernels on examples, and returns all that were tried, the best first, by the mean of pixel and class accuracy;
-/// of equals, the one that was nearer the beginning.
+/// Tries kernels on examples, and returns all that were tried, the best first: those with which the pixels and the average
+/// class gain most on no field at all, whichever of the two gains less. No field is tried, too (kernels without weight), and
+/// comes first where none gains. Of equals, the one that was nearer the beginning comes first; what was given up comes last.
 ///
-/// One parameter after the other is doubled and halved, and the better of the three kept, until none changes any more;
-/// then the same with the square root of two. Appearance and smoothness begin anywhere reasonable: accuracy changes
+/// One parameter after the other is doubled and halved, and what is better by a standard error kept, until none changes any
+/// more; then the same with the square root of two. Appearance and smoothness begin anywhere reasonable: accuracy changes
 /// slowly with all five (Krähenbühl and Koltun 2011, section 4), and factors of two are what it can tell apart.
+///
+/// Kernels race: they label a few examples, and no more where they are worse than the best by a standard error (Maron and
+/// Moore, *Hoeffding races*, NIPS 1993). Differences are paired, and their errors by the jackknife, as an average class is no
+/// mean of images.
 ///
 /// # Errors
 /// [`CrfError`] for kernels that cannot be used, and examples whose image, costs and truth do not have the same pixels.
 pub fn search(examples: &[Example<'_>], options: &SearchOptions) -> Result<Vec<Trial>, CrfError> {
-    let mut tried: BTreeMap<Steps, Trial> = BTreeMap::new();
+    let race = Race::new(examples, options)?;
+    let mut tried: BTreeMap<Steps, Runner> = BTreeMap::new();
     let mut here = [0; 5];
-    tried.insert(here, trial(examples, options, here)?);
+    tried.insert(here, race.run(options.start, None)?);
     for step in [2, 1] {
         let mut still = 0;
         for parameter in (0..here.len()).cycle() {
@@ -141,10 +94,12 @@ pub fn search(examples: &[Example<'_>], options: &SearchOptions) -> Result<Vec<T
             for direction in [step, -step] {
                 let mut there = here;
                 there[parameter] += direction;
-                if let Entry::Vacant(untried) = tried.entry(there) {
-                    untried.insert(trial(examples, options, there)?);
+                if !tried.contains_key(&there) {
+                    let kernels = scaled(&options.start, there);
+                    let runner = race.run(kernels, tried.get(&best))?;
+                    tried.insert(there, runner);
                 }
-                if tried[&there].confusion.score() > tried[&best].confusion.score() {
+                if race.is_better(&tried[&there].found, &tried[&best].found) {
                     best = there;
                 }
             }
@@ -152,63 +107,134 @@ pub fn search(examples: &[Example<'_>], options: &SearchOptions) -> Result<Vec<T
             here = best;
         }
     }
-    Ok(sorted(tried))
+    Ok(race.sorted(tried))
 }
 
-fn sorted(tried: BTreeMap<Steps, Trial>) -> Vec<Trial> {
-    let mut trials: Vec<(Steps, Trial)> = tried.into_iter().collect();
-    let far = |steps: &Steps| steps.iter().map(|step| step.unsigned_abs()).sum::<u32>();
-    trials.sort_by(|(a_steps, a), (b_steps, b)| {
-        let by_score = b.confusion.score().total_cmp(&a.confusion.score());
-        by_score.then_with(|| far(a_steps).cmp(&far(b_steps)))
-    });
-    trials.into_iter().map(|(_, trial)| trial).collect()
-}
-
-fn trial(
-    examples: &[Example<'_>],
-    options: &SearchOptions,
-    steps: Steps,
-) -> Result<Trial, CrfError> {
+fn scaled(start: &Kernels, steps: Steps) -> Kernels {
     let scaled =
         |value: f64, parameter: usize| value * 2f64.powf(0.5 * f64::from(steps[parameter]));
-    let start = &options.start;
-    let kernels = Kernels {
+    Kernels {
         appearance_px: scaled(start.appearance_px, 0),
         appearance_colour: scaled(start.appearance_colour, 1),
         appearance_weight: scaled(start.appearance_weight, 2),
         smoothness_px: scaled(start.smoothness_px, 3),
         smoothness_weight: scaled(start.smoothness_weight, 4),
-    };
-    let classes = examples
-        .iter()
-        .map(|example| example.unary.classes())
-        .max()
-        .unwrap_or(1);
-    let of_examples: Vec<Confusion> = examples
-        .par_iter()
-        .map(|example| evaluate(example, &kernels, options, classes))
-        .collect::<Result<_, _>>()?;
-    let mut confusion = Confusion::new(classes);
-    of_examples
-        .iter()
-        .for_each(|of_example| confusion.merge(of_example));
-    Ok(Trial { kernels, confusion })
+    }
 }
 
-fn evaluate(
-    example: &Example<'_>,
-    kernels: &Kernels,
-    options: &SearchOptions,
+/// Kernels, and what they found in the first examples.
+struct Runner {
+    kernels: Kernels,
+    found: Vec<Confusion>,
+}
+
+struct Race<'a> {
+    /// In an order in which the first few are spread over all.
+    examples: Vec<&'a Example<'a>>,
+    options: &'a SearchOptions,
     classes: usize,
-) -> Result<Confusion, CrfError> {
-    let MeanField { iterations } = options.mean_field;
-    let field = RandomField::new(&example.image, kernels, example.wraps)?;
-    field.fits(field.pixels(), example.truth.len())?;
-    let found = field.infer(&example.unary, iterations)?.labels();
-    let mut confusion = Confusion::new(classes);
-    confusion.add(example.truth, &found);
-    Ok(confusion)
+    /// What pixels are by themselves.
+    alone: Runner,
+}
+
+impl<'a> Race<'a> {
+    fn new(examples: &'a [Example<'a>], options: &'a SearchOptions) -> Result<Self, CrfError> {
+        let classes = examples.iter().map(|example| example.unary.classes()).max();
+        let mut order: Vec<usize> = (0..examples.len()).collect();
+        order.sort_by_key(|index| index.reverse_bits());
+        let kernels = Kernels {
+            appearance_weight: 0.0,
+            smoothness_weight: 0.0,
+            ..options.start
+        };
+        let mut race = Self {
+            examples: order.into_iter().map(|index| &examples[index]).collect(),
+            options,
+            classes: classes.unwrap_or(1),
+            alone: Runner {
+                kernels,
+                found: Vec::new(),
+            },
+        };
+        race.alone = race.run(kernels, None)?;
+        Ok(race)
+    }
+
+    /// Labels examples until the kernels are clearly worse than the best, or to the end.
+    fn run(&self, kernels: Kernels, best: Option<&Runner>) -> Result<Runner, CrfError> {
+        let mut found = Vec::with_capacity(self.examples.len());
+        for heat in self.examples.chunks(HEAT) {
+            let labelled: Vec<Confusion> = heat
+                .par_iter()
+                .map(|example| self.evaluate(example, &kernels))
+                .collect::<Result<_, _>>()?;
+            found.extend(labelled);
+            if best.is_some_and(|best| self.is_better(&best.found, &found)) {
+                break;
+            }
+        }
+        Ok(Runner { kernels, found })
+    }
+
+    fn evaluate(&self, example: &Example<'_>, kernels: &Kernels) -> Result<Confusion, CrfError> {
+        let MeanField { iterations } = self.options.mean_field;
+        let field = RandomField::new(&example.image, kernels, example.wraps)?;
+        field.fits(field.pixels(), example.truth.len())?;
+        let found = field.infer(&example.unary, iterations)?.labels();
+        let mut confusion = Confusion::new(self.classes);
+        confusion.add(example.truth, &found);
+        Ok(confusion)
+    }
+
+    /// Whether some kernels gain more than others on the examples that both have labelled, by more than a standard error.
+    fn is_better(&self, one: &[Confusion], other: &[Confusion]) -> bool {
+        let n = one.len().min(other.len());
+        let more = |left_out: Option<usize>| {
+            self.gain(&one[..n], left_out) - self.gain(&other[..n], left_out)
+        };
+        let without: Vec<f64> = (0..n).map(|index| more(Some(index))).collect();
+        let mean = without.iter().sum::<f64>() / n as f64;
+        let squares: f64 = without.iter().map(|more| (more - mean).powi(2)).sum();
+        let standard_error = (squares * (n as f64 - 1.0) / n as f64).sqrt();
+        more(None) > standard_error
+    }
+
+    /// What the kernels gain on no field, over the first examples but one.
+    fn gain(&self, found: &[Confusion], left_out: Option<usize>) -> f64 {
+        let sum = |found: &[Confusion]| self.sum(found, left_out);
+        sum(found).gain_on(&sum(&self.alone.found[..found.len()]))
+    }
+
+    fn sum(&self, found: &[Confusion], left_out: Option<usize>) -> Confusion {
+        let mut sum = Confusion::new(self.classes);
+        let kept = (0..)
+            .zip(found)
+            .filter(|(index, _)| Some(*index) != left_out);
+        kept.for_each(|(_, found)| sum.merge(found));
+        sum
+    }
+
+    /// Who has labelled more examples is better, then who gains more.
+    fn rank(&self, runner: &Runner) -> (usize, f64) {
+        (runner.found.len(), self.gain(&runner.found, None))
+    }
+
+    fn sorted(self, tried: BTreeMap<Steps, Runner>) -> Vec<Trial> {
+        let far = |steps: &Steps| steps.iter().map(|step| step.unsigned_abs()).sum::<u32>();
+        let tried = tried.iter().map(|(steps, runner)| (1 + far(steps), runner));
+        let mut runners: Vec<(u32, &Runner)> = iter::once((0, &self.alone)).chain(tried).collect();
+        runners.sort_by(|(a_far, a), (b_far, b)| {
+            let (a, b) = (self.rank(a), self.rank(b));
+            let by_rank = b.0.cmp(&a.0).then(b.1.total_cmp(&a.1));
+            by_rank.then(a_far.cmp(b_far))
+        });
+        let trial = |(_, runner): (u32, &Runner)| Trial {
+            kernels: runner.kernels,
+            examples: runner.found.len(),
+            confusion: self.sum(&runner.found, None),
+        };
+        runners.into_iter().map(trial).collect()
+    }
 }
 
 #[cfg(test)]
@@ -217,39 +243,10 @@ mod tests {
     use super::*;
     use crate::learning::dense_crf::tests::of_labels;
 
-    #[test]
-    fn accuracies_are_shares() {
-        let mut confusion = Confusion::new(3);
-        confusion.add(&[0, 0, 0, 0, 1, 1, 255], &[0, 0, 0, 1, 1, 0, 0]);
-        assert!((confusion.pixel_accuracy() - 4.0 / 6.0).abs() < 1e-12);
-        assert!((confusion.class_accuracy() - 0.5 * (0.75 + 0.5)).abs() < 1e-12);
-        assert_eq!(Confusion::new(2).score(), 0.0);
-    }
-
     /// A start that smoothes everything away is left behind.
     #[test]
     fn finds_better_kernels_than_it_began_with() {
-        let (width, height) = (48, 36);
-        let truth: Vec<u8> = (0..width * height)
-            .map(|i| u8::from((i % width / 6 + i / width / 6) % 2 == 0))
-            .collect();
-        let colours: Vec<u8> = truth
-            .iter()
-            .zip(0..)
-            .flat_map(|(class, i): (&u8, u32)| [100 + 40 * class, 90 + (i * 7 % 13) as u8, 120])
-            .collect();
-        let chance = |i: usize| (i.wrapping_mul(2_654_435_761) >> 7) % 10 < 3;
-        let noisy: Vec<u8> = truth
-            .iter()
-            .enumerate()
-            .map(|(i, class)| class ^ u8::from(chance(i)))
-            .collect();
-        let example = Example {
-            image: ColourView::new(width as u32, height as u32, &colours).unwrap(),
-            unary: of_labels(2, &noisy, 0.7),
-            wraps: false,
-            truth: &truth,
-        };
+        let board = Board::new(0.3, 40);
         let start = Kernels {
             appearance_colour: 40.0,
             ..Kernels::default()
@@ -258,11 +255,81 @@ mod tests {
             start,
             ..SearchOptions::default()
         };
-        let trials = search(&[example], &options).unwrap();
+        let trials = search(&[board.example()], &options).unwrap();
+        let pixels = |trial: &Trial| trial.confusion.pixel_accuracy();
         let first = trials.iter().find(|trial| trial.kernels == start).unwrap();
-        assert!(first.confusion.score() < 0.7, "{}", first.confusion.score());
-        assert!(trials[0].confusion.score() > 0.95, "{:?}", trials[0]);
-        assert!(trials.len() <= options.trials as usize + 1);
-        assert!(trials.is_sorted_by(|a, b| a.confusion.score() >= b.confusion.score()));
+        assert!(pixels(first) < 0.7, "{first:?}");
+        assert!(pixels(&trials[0]) > 0.95, "{:?}", trials[0]);
+        assert!(trials.len() <= options.trials as usize + 3);
+        let alone = trials.iter().find(|trial| weightless(trial)).unwrap();
+        let gain = |trial: &Trial| trial.confusion.gain_on(&alone.confusion);
+        assert!(trials.is_sorted_by(|a, b| gain(a) >= gain(b)));
+        assert!(trials.iter().all(|trial| trial.examples == 1));
+    }
+
+    /// Where scores are right but colours say nothing of classes, any field does harm.
+    #[test]
+    fn no_field_is_better_than_a_bad_one() {
+        let board = Board::new(0.0, 0);
+        let trials = search(&[board.example()], &SearchOptions::default()).unwrap();
+        assert!(weightless(&trials[0]), "{:?}", trials[0]);
+        assert_eq!(trials[0].confusion.pixel_accuracy(), 1.0);
+    }
+
+    /// What is far worse than the best does not label all examples, and comes behind what does.
+    #[test]
+    fn what_is_clearly_worse_is_given_up() {
+        let board = Board::new(0.4, 20);
+        let examples = vec![board.example(); 3 * HEAT];
+        let trials = search(&examples, &SearchOptions::default()).unwrap();
+        let given_up = trials.iter().filter(|trial| trial.examples < 3 * HEAT);
+        let (given_up, all) = (given_up.count(), trials.len());
+        assert!(given_up > 2, "{given_up} of {all}");
+        assert!(trials.is_sorted_by(|a, b| a.examples >= b.examples));
+        let one = search(&examples[..1], &SearchOptions::default()).unwrap();
+        assert_eq!(trials[0].kernels, one[0].kernels);
+    }
+
+    fn weightless(trial: &Trial) -> bool {
+        trial.kernels.appearance_weight + trial.kernels.smoothness_weight == 0.0
+    }
+
+    /// A chessboard whose fields differ in red.
+    struct Board {
+        truth: Vec<u8>,
+        colours: Vec<u8>,
+        /// The truth, wrong in a share of its pixels.
+        noisy: Vec<u8>,
+    }
+
+    impl Board {
+        const SIZE: [usize; 2] = [48, 36];
+
+        fn new(wrong: f64, contrast: u8) -> Self {
+            let [width, height] = Self::SIZE;
+            let truth: Vec<u8> = (0..width * height)
+                .map(|i| u8::from((i % width / 6 + i / width / 6) % 2 == 0))
+                .collect();
+            let colour =
+                |(class, i): (&u8, u32)| [100 + contrast * class, 90 + (i * 7 % 13) as u8, 120];
+            let chance = |i: usize| (i.wrapping_mul(2_654_435_761) >> 7) % 1000;
+            let noisy =
+                |(i, class): (usize, &u8)| class ^ u8::from((chance(i) as f64) < 1000.0 * wrong);
+            Self {
+                colours: truth.iter().zip(0..).flat_map(colour).collect(),
+                noisy: truth.iter().enumerate().map(noisy).collect(),
+                truth,
+            }
+        }
+
+        fn example(&self) -> Example<'_> {
+            let [width, height] = Self::SIZE.map(|side| side as u32);
+            Example {
+                image: ColourView::new(width, height, &self.colours).unwrap(),
+                unary: of_labels(2, &self.noisy, 0.7),
+                wraps: false,
+                truth: &self.truth,
+            }
+        }
     }
 }
