@@ -551,7 +551,9 @@ fn main() -> Result<(), Failure> {
         }
         println!(
             "{}",
-            results.alone.row("prior power chosen on training frames")
+            results
+                .alone
+                .row("the prior power that was given or chosen")
         );
         println!("{}", results.with_field.row("and random field"));
     }

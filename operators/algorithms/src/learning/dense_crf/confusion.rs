@@ -33,6 +33,17 @@ impl Confusion {
         }
     }
 
+    /// These counts without those of another, which are a part of them.
+    pub fn without(&self, part: &Self) -> Self {
+        let counts = self.pixels.iter().zip(&part.pixels);
+        Self {
+            classes: self.classes,
+            pixels: counts
+                .map(|(all, part)| all.saturating_sub(*part))
+                .collect(),
+        }
+    }
+
     /// The share of the pixels that are right; 0 without pixels.
     pub fn pixel_accuracy(&self) -> f64 {
         let right: u64 = (0..self.classes)
@@ -71,6 +82,16 @@ mod tests {
         assert!((confusion.pixel_accuracy() - 4.0 / 6.0).abs() < 1e-12);
         assert!((confusion.class_accuracy() - 0.5 * (0.75 + 0.5)).abs() < 1e-12);
         assert_eq!(Confusion::new(2).class_accuracy(), 0.0);
+    }
+
+    #[test]
+    fn a_part_is_taken_out() {
+        let (mut all, mut part) = (Confusion::new(2), Confusion::new(2));
+        part.add(&[0, 1], &[1, 1]);
+        all.add(&[0, 0], &[0, 1]);
+        let rest = all.clone();
+        all.merge(&part);
+        assert_eq!(all.without(&part), rest);
     }
 
     /// More pixels at the cost of a class are no gain.
