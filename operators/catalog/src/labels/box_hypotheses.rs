@@ -18,7 +18,7 @@ pub struct BoxHypotheses;
 
 impl Operator for BoxHypotheses {
     const NAME: &'static str = "box_hypotheses";
-    const VERSION: u32 = 9;
+    const VERSION: u32 = 10;
     const PAGE: &'static str = include_str!("box_hypotheses.md");
     type Params = NothingToChoose;
     type Output = BoxHypothesis;

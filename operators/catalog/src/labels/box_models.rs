@@ -13,7 +13,7 @@ pub struct BoxModels;
 
 impl Operator for BoxModels {
     const NAME: &'static str = "box_models";
-    const VERSION: u32 = 9;
+    const VERSION: u32 = 10;
     const PAGE: &'static str = include_str!("box_models.md");
     type Params = TeachingParams;
     type Output = BoxModel;

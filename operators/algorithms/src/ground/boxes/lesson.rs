@@ -16,6 +16,8 @@ use crate::solving::random::SplitMix64;
 
 /// Boxes whose sides differ by less than this part are of one size.
 const ONE_SIZE: f64 = 0.15;
+/// Times that all boxes are looked at to turn them, at most.
+const MOST_TURNS: usize = 20;
 /// A random box that overlaps a known one by more than this is no example of the floor.
 const CLEAR: f64 = 0.1;
 
@@ -45,6 +47,16 @@ struct Seen {
     beside: Vec<(Vec<Vec<f32>>, f64)>,
     /// What the template is made of; `None` for what does not lie exactly where it is.
     layout: Option<Vec<[f32; 2]>>,
+}
+
+impl Seen {
+    /// The box from its other end.
+    fn turn(&mut self) {
+        let beside = self.beside.iter_mut().map(|(ways, _)| ways);
+        let ways = std::iter::once(&mut self.ways).chain(beside);
+        ways.for_each(|ways| ways.reverse());
+        self.layout.iter_mut().for_each(|layout| layout.reverse());
+    }
 }
 
 /// How far beyond a part is looked to learn from examples in it (m): boxes beside one begin a width away from it at most.
@@ -157,15 +169,16 @@ impl Lesson {
     /// Of examples where an image shows them.
     pub(super) fn new(mosaic: &Mosaic, examples: &[Example], params: &TeachingParams) -> Self {
         let mut seen = described(mosaic, examples, params);
+        turn_alike(&mut seen);
         let layouts = seen.iter_mut().filter_map(|one| one.layout.take());
+        let layouts: Vec<Vec<[f32; 2]>> = layouts.collect();
         let mut lesson = Self {
-            template: Template::learn(layouts),
+            template: Template::learn(&layouts),
             samples: Vec::new(),
             answers: Vec::new(),
             examples: Vec::new(),
             sizes: Vec::new(),
         };
-        let mut ones: Vec<f32> = vec![0.0; LENGTH];
         for one in seen {
             let begin = lesson.samples.len();
             match one.example {
@@ -173,26 +186,17 @@ impl Lesson {
                     let GroundBox {
                         length_m, width_m, ..
                     } = example.place;
-                    let own = likest(one.ways, &ones);
-                    ones.iter_mut()
-                        .zip(&own)
-                        .for_each(|(sum, value)| *sum += value);
-                    lesson.add(own, 1.0);
+                    lesson.add_first(one.ways, 1, 1.0);
                     for (ways, answer) in one.beside {
-                        if answer == -1.0 {
-                            ways.into_iter().for_each(|way| lesson.add(way, -1.0));
-                        } else {
-                            lesson.add(likest(ways, &ones), answer);
-                        }
+                        let count = if answer == -1.0 { ways.len() } else { 1 };
+                        lesson.add_first(ways, count, answer);
                     }
                     add_size(&mut lesson.sizes, [length_m, width_m]);
                     lesson.examples.push((begin..lesson.samples.len(), 1, true));
                 }
                 example => {
                     let count = one.ways.len();
-                    one.ways
-                        .into_iter()
-                        .for_each(|way| lesson.add(way, one.answer));
+                    lesson.add_first(one.ways, count, one.answer);
                     if example.is_some() {
                         lesson.examples.push((begin..begin + count, count, false));
                     }
@@ -201,7 +205,7 @@ impl Lesson {
         }
         let mut empty = vec![0.0; LENGTH];
         empty[LENGTH - 1] = 1.0;
-        lesson.add(empty, -1.0);
+        lesson.add_first(vec![empty], 1, -1.0);
         lesson
     }
 
@@ -218,9 +222,10 @@ impl Lesson {
             .count() as u32
     }
 
-    fn add(&mut self, sample: Vec<f32>, answer: f64) {
-        self.samples.push(sample);
-        self.answers.push(answer);
+    /// Adds the first ones of some samples.
+    fn add_first(&mut self, samples: Vec<Vec<f32>>, count: usize, answer: f64) {
+        self.samples.extend(samples.into_iter().take(count));
+        self.answers.resize(self.samples.len(), answer);
     }
 
     /// By example: what would be held of it, had it not been learnt from, the better way round, and whether it is one.
@@ -239,15 +244,37 @@ impl Lesson {
     }
 }
 
-/// The way round in which a box looks more like others, all added up.
-fn likest(ways: Vec<Vec<f32>>, others: &[f32]) -> Vec<f32> {
-    let like = |way: &Vec<f32>| -> f32 { way.iter().zip(others).map(|(a, b)| a * b).sum() };
-    let best = ways.into_iter().reduce(
-        |best, way| {
-            if like(&way) > like(&best) { way } else { best }
-        },
-    );
-    best.unwrap_or_default()
+/// Turns boxes of the kind round, of those that look more like all the others from their other end one after the other, until
+/// there are none. Each turn makes the sum of their descriptions longer, so there is an end; that numbers are rounded may
+/// hide it.
+fn turn_alike(seen: &mut [Seen]) {
+    let is_one = |one: &&mut Seen| one.example.is_some_and(|example| example.is_one());
+    let mut ones: Vec<&mut Seen> = seen.iter_mut().filter(is_one).collect();
+    let mut all = vec![0.0_f32; LENGTH];
+    ones.iter().for_each(|one| add(&mut all, &one.ways[0], 1.0));
+    for _ in 0..MOST_TURNS {
+        let mut are_alike = true;
+        for one in &mut ones {
+            add(&mut all, &one.ways[0], -1.0);
+            if like(&one.ways[1], &all) > like(&one.ways[0], &all) {
+                one.turn();
+                are_alike = false;
+            }
+            add(&mut all, &one.ways[0], 1.0);
+        }
+        if are_alike {
+            break;
+        }
+    }
+}
+
+fn add(sums: &mut [f32], values: &[f32], times: f32) {
+    let pairs = sums.iter_mut().zip(values);
+    pairs.for_each(|(sum, value)| *sum += times * value);
+}
+
+fn like(one: &[f32], other: &[f32]) -> f32 {
+    one.iter().zip(other).map(|(a, b)| a * b).sum()
 }
 
 fn add_size(sizes: &mut Vec<Vec<[f64; 2]>>, size: [f64; 2]) {

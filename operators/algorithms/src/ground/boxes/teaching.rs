@@ -4,8 +4,8 @@
 //! and so is what lies beside a box: a step to the side, ahead or turned, which teaches where exactly a box lies. Random
 //! boxes stand for the rest of the floor, and an empty description for floor without anything on it.
 //!
-//! *Sizes* are those of the boxes drawn. People draw a box from either end: each is taken the way round in which it looks
-//! more like those before.
+//! *Sizes* are those of the boxes drawn. People draw a box from either end: they are turned round until each looks more like
+//! all the others than it does from its other end.
 //!
 //! *Questions.* Worth asking is what an answer teaches about all hypotheses: how far it would move their probabilities
 //! ([`LinearProcess::questions`]).
@@ -36,15 +36,16 @@ const ANSWERED: f64 = 0.8;
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default)]
 pub struct TeachingParams {
-    /// Random boxes that stand for the rest of the floor: as many as a person who drew ten boxes has taught otherwise, with
-    /// what lies beside them.
+    /// Random boxes that stand for the rest of the floor: five times what a person who drew ten boxes has taught otherwise, with
+    /// what lies beside them, as there is more floor. With a fifth, boxes are found where nothing is; with twice as many, fewer of
+    /// the others are likely at first.
     #[schemars(range(min = 1, max = 2000))]
     pub random_boxes: usize,
 }
 
 impl Default for TeachingParams {
     fn default() -> Self {
-        Self { random_boxes: 200 }
+        Self { random_boxes: 1000 }
     }
 }
 
@@ -260,14 +261,20 @@ impl Taught {
     }
 }
 
-/// Before anything was rejected nothing tells what a mean is worth. As likely as not is what looks like the boxes of the kind
-/// do to those who have not seen them, at the median; with each that was asked for and `accepted` it is less: of so many and
-/// two more, one would be none (Laplace's rule of succession), and that is what looks least like the others.
+/// Before anything was rejected nothing tells what a mean is worth. As likely as not is then what looks so little like the boxes
+/// of the kind to those who have not seen them that the next one, with this chance, would be none: a half before anything was
+/// asked, and with each that was `accepted` less, one of so many and two more (Laplace's rule of succession). The chance that the
+/// next looks less like them than the `k`th of `n` is `k / (n + 1)`.
 fn untaught(held: &[(f64, bool)], process: &LinearProcess, accepted: usize) -> Calibration {
     let ones = held.iter().filter(|(_, is_one)| *is_one);
     let mut ones: Vec<f64> = ones.map(|(mean, _)| *mean).collect();
     ones.sort_by(f64::total_cmp);
-    let middle = ones.get(ones.len() / (accepted + 2));
+    let rank = (ones.len() + 1) as f64 / (accepted + 2) as f64 - 1.0;
+    let below = rank.max(0.0) as usize;
+    let middle = ones.get(below).map(|low| {
+        let high = ones.get(below + 1).unwrap_or(low);
+        low + (rank - below as f64).max(0.0) * (high - low)
+    });
     Calibration {
         middle: middle.map_or(0.0, |mean| mean.max(0.0)),
         slope: PROBIT / process.noise().sqrt().max(f64::MIN_POSITIVE),

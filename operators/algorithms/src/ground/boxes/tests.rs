@@ -286,6 +286,8 @@ struct Judged {
     recall: f64,
     /// Median distance of what was learnt (m).
     median_m: f64,
+    /// Within which nine of ten of these lie (m).
+    most_m: f64,
     /// Median of the angles by which it is turned, whichever end is called its front (degrees).
     median_degrees: f64,
 }
@@ -320,17 +322,20 @@ fn judged(found: &[Hypothesis], truth: &[GroundBox], examples: &[Example]) -> Ju
         let [x, y] = [0, 1].map(|axis| one.centre[axis] - bay.centre[axis]);
         Some((x.hypot(y), angle_degrees(&one, bay)))
     });
-    let (off_m, turned): (Vec<f64>, Vec<f64>) = off.unzip();
+    let (mut off_m, turned): (Vec<f64>, Vec<f64>) = off.unzip();
+    off_m.sort_by(f64::total_cmp);
+    let most_m = off_m.get(off_m.len() * 9 / 10).copied();
     Judged {
         precision: held.iter().filter(is_right).count() as f64 / held.len().max(1) as f64,
         recall: truth.iter().filter(is_found).count() as f64 / truth.len() as f64,
+        most_m: most_m.unwrap_or(0.0),
         median_m: median(off_m).unwrap_or(0.0),
         median_degrees: median(turned).unwrap_or(0.0),
     }
 }
 
 /// Answers of a round.
-const ANSWERED: usize = 20;
+const ANSWERED: usize = 5;
 
 /// Eight boxes are drawn in all, two at a time, and questions answered each time: what is held after each round.
 fn rounds(name: &str, picture: &Picture, truth: &[GroundBox], picks: Picks) -> Vec<Judged> {
@@ -352,8 +357,13 @@ fn rounds(name: &str, picture: &Picture, truth: &[GroundBox], picks: Picks) -> V
         let took = begun.elapsed();
         let judged = judged(&found, truth, &oracle.examples);
         eprintln!(
-            "{name}, round {round}, {} answers: precision {:.3}, recall {:.3}, median {:.3} m, {:.2}°; {took:?}",
-            oracle.answers, judged.precision, judged.recall, judged.median_m, judged.median_degrees
+            "{name}, round {round}, {} answers: precision {:.3}, recall {:.3}, median {:.3} m, nine of ten {:.3} m, {:.2}°; {took:?}",
+            oracle.answers,
+            judged.precision,
+            judged.recall,
+            judged.median_m,
+            judged.most_m,
+            judged.median_degrees
         );
         if round < 4 {
             oracle.answer(&found, picks, ANSWERED);
@@ -399,6 +409,13 @@ fn park() -> (Picture, Vec<GroundBox>) {
     (painted(&spaces, [2260, 640], 6), spaces)
 }
 
+/// The floor of the stranger's empty park.
+fn strangers() -> (Picture, Vec<GroundBox>) {
+    let world = shared("worlds/carpark_small/truth").unwrap();
+    let picture = Picture::read(&world.join("overhead_20ppm.png"));
+    (picture, bays(&world.join("bays.geojson")))
+}
+
 /// How long each round takes is told on standard error.
 #[test]
 fn spaces_of_a_park_of_164_are_found() {
@@ -406,16 +423,15 @@ fn spaces_of_a_park_of_164_are_found() {
     assert_eq!(truth.len(), 164);
     let rounds = rounds("park of 164", &picture, &truth, Picks::Questions);
     let last = rounds.last().unwrap();
-    assert!(last.precision >= 0.95 && last.recall >= 0.95);
+    assert!(last.is_good() && rounds[2].median_m < 0.1);
 }
 
 #[test]
 fn spaces_of_made_up_floors_are_found() {
-    let floors = [("angled", angled(), 0.97), ("kerb", kerb(), 0.95)];
-    for (name, (picture, truth), least) in floors {
+    for (name, (picture, truth)) in [("angled", angled()), ("kerb", kerb())] {
         let rounds = rounds(name, &picture, &truth, Picks::Questions);
         let last = rounds.last().unwrap();
-        assert!(last.precision >= least && last.recall >= 0.95);
+        assert!(last.is_good());
         // Halfway: later there is next to nothing left that nobody has spoken of.
         assert!(rounds[2].median_m < 0.1 && rounds[2].median_degrees < 2.0);
     }
@@ -423,9 +439,7 @@ fn spaces_of_made_up_floors_are_found() {
 
 #[test]
 fn spaces_of_a_strangers_floor_are_found() {
-    let world = shared("worlds/carpark_small/truth").unwrap();
-    let truth = bays(&world.join("bays.geojson"));
-    let picture = Picture::read(&world.join("overhead_20ppm.png"));
+    let (picture, truth) = strangers();
     let rounds = rounds("carpark_small", &picture, &truth, Picks::Questions);
     let last = rounds.last().unwrap();
     assert!(last.is_good() && rounds[2].median_m < 0.1 && rounds[2].median_degrees < 2.0);
@@ -440,16 +454,18 @@ fn answers_needed(rounds: &[Judged]) -> usize {
 
 #[test]
 fn questions_need_a_third_fewer_answers_than_boxes_at_random() {
-    let (picture, truth) = angled();
-    let rounds = |picks| rounds("angled", &picture, &truth, picks);
-    let (asked, random) = (rounds(Picks::Questions), rounds(Picks::Anything));
-    let wrong = |rounds: &[Judged]| -> f64 {
-        let wrong = |one: &Judged| (1.0 - one.precision) + (1.0 - one.recall);
-        rounds[2..].iter().map(wrong).sum()
+    let floors = [
+        ("angled", angled()),
+        ("kerb", kerb()),
+        ("carpark_small", strangers()),
+    ];
+    let needed = |picks| -> usize {
+        let floors = floors
+            .iter()
+            .map(|(name, (picture, truth))| answers_needed(&rounds(name, picture, truth, picks)));
+        floors.sum()
     };
-    let [less, more] = [&asked, &random].map(|rounds| wrong(rounds));
-    assert!(less < more, "{less} {more}");
-    let [few, many] = [&asked, &random].map(|rounds| answers_needed(rounds));
+    let [few, many] = [Picks::Questions, Picks::Anything].map(needed);
     assert!(3 * few <= 2 * many, "{few} answers, {many} at random");
 }
 
