@@ -4,7 +4,9 @@ use rayon::prelude::*;
 
 use crate::learning::dense_crf::ColourView;
 use crate::learning::perceptron::{Network, NetworkError, Perceptron};
-use crate::learning::pixel_features::{Backbone, FeatureDescription, FeatureError, PixelFeatures};
+use crate::learning::pixel_features::{
+    Backbone, FeatureDescription, FeatureError, LinearFeatures, PixelFeatures,
+};
 use crate::learning::random_forest::{Forest, Tree, TreeError};
 
 /// A forest or a network, and the features that it reads.
@@ -86,27 +88,76 @@ impl PixelClassifier {
         backbone: Backbone,
     ) -> Result<Vec<f32>, FeatureError> {
         let features = PixelFeatures::new(&self.description, image, backbone)?;
+        let centres = Centres::new(features.size(), stride_px);
+        Ok(match &self.model {
+            Model::Forest(forest) => by_forest(forest, block, &features, &centres),
+            Model::Network(network) => by_network(network, block, features, &centres),
+        })
+    }
+}
+
+fn by_forest(
+    forest: &Forest,
+    block: Option<u32>,
+    features: &PixelFeatures,
+    centres: &Centres,
+) -> Vec<f32> {
+    let dimensions = features.dimensions();
+    centres.each_row(forest.classes(), |us, v, scores| {
+        let mut values = vec![0; us.len() * dimensions];
+        for (u, out) in us.iter().zip(values.chunks_exact_mut(dimensions)) {
+            features.write(*u, v, out);
+        }
+        forest.predict(&values, block, scores);
+    })
+}
+
+fn by_network(
+    network: &Network,
+    block: Option<u32>,
+    features: PixelFeatures,
+    centres: &Centres,
+) -> Vec<f32> {
+    let voters = network.voters(block);
+    let layer = LinearFeatures::new(features, voters.hidden(), centres.count());
+    centres.each_row(network.classes(), |us, v, scores| {
+        let mut inner = voters.biases(us.len());
+        layer.add(us, v, &mut inner);
+        voters.scores(inner, scores);
+    })
+}
+
+/// The central pixels of an image's cells.
+struct Centres {
+    us: Vec<usize>,
+    vs: Vec<usize>,
+}
+
+impl Centres {
+    fn new(size: [usize; 2], stride_px: u32) -> Self {
         let stride = stride_px.max(1) as usize;
-        let [columns, rows] = features.size().map(|side| side.div_ceil(stride));
-        let (dimensions, classes) = (self.description.dimensions(), self.classes());
-        let mut scores = vec![0.0; columns * rows * classes];
+        let [us, vs] = size.map(|side| {
+            let cells = 0..side.div_ceil(stride);
+            cells.map(|cell| cell * stride + stride / 2).collect()
+        });
+        Self { us, vs }
+    }
+
+    fn count(&self) -> usize {
+        self.us.len() * self.vs.len()
+    }
+
+    /// Scores of all cells, from a function that writes those of a row.
+    fn each_row(
+        &self,
+        classes: usize,
+        write: impl Fn(&[usize], usize, &mut [f32]) + Sync,
+    ) -> Vec<f32> {
+        let mut scores = vec![0.0; self.count() * classes];
+        let rows = scores.par_chunks_exact_mut(self.us.len() * classes);
+        let rows = rows.zip(&self.vs);
+        rows.for_each(|(scores, v)| write(&self.us, *v, scores));
         scores
-            .par_chunks_exact_mut(columns * classes)
-            .enumerate()
-            .for_each_init(
-                || vec![0; columns * dimensions],
-                |values, (row, scores)| {
-                    let centre = |cell: usize| cell * stride + stride / 2;
-                    for (column, out) in values.chunks_exact_mut(dimensions).enumerate() {
-                        features.write(centre(column), centre(row), out);
-                    }
-                    match &self.model {
-                        Model::Forest(forest) => forest.predict(values, block, scores),
-                        Model::Network(network) => network.predict(values, block, scores),
-                    }
-                },
-            );
-        Ok(scores)
     }
 }
 

@@ -42,7 +42,7 @@ impl Default for ClassScoringParams {
 
 impl Operator for ClassScoring {
     const NAME: &'static str = "class_scores";
-    const VERSION: u32 = 2;
+    const VERSION: u32 = 3;
     const PAGE: &'static str = include_str!("class_scores.md");
     type Params = ClassScoringParams;
     type Output = ClassScores;

@@ -10,7 +10,7 @@ mod training;
 #[cfg(test)]
 mod tests;
 
-pub use prediction::Network;
+pub use prediction::{Network, Voters};
 pub use training::{NetworkOptions, train};
 
 /// One member: `softmax(output · max(0, hidden · x + hidden_biases) + output_biases)` of bytes `x`.

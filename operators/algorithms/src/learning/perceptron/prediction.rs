@@ -41,42 +41,79 @@ impl Network {
         self.classes
     }
 
+    /// Those of the members that are asked of a block that some have held out, or of none.
+    pub fn voters(&self, block: Option<u32>) -> Voters<'_> {
+        let members = voters(&self.members, block, |member| member.held_out);
+        let all = members.iter().flat_map(|member| &member.hidden).copied();
+        let all: Vec<f32> = all.collect();
+        let units = all.len() / self.dimensions;
+        Voters {
+            hidden: DMatrixView::from_slice(&all, self.dimensions, units).transpose(),
+            biases: members
+                .iter()
+                .flat_map(|member| member.hidden_biases.iter().copied())
+                .collect(),
+            members,
+            classes: self.classes,
+        }
+    }
+
     /// Probabilities of the classes for each sample, all classes taken for equally frequent: the mean over all members, or,
     /// of a block that some members have held out, over those. `values` has the features of one sample after the other,
     /// `scores` room for as many distributions; samples beyond either are left out.
     pub fn predict(&self, values: &[u8], block: Option<u32>, scores: &mut [f32]) {
-        scores.fill(0.0);
-        let voters = voters(&self.members, block, |member| member.held_out);
         let samples = (values.len() / self.dimensions).min(scores.len() / self.classes);
         let values = values[..samples * self.dimensions].iter();
         let values: Vec<f32> = values.map(|value| f32::from(*value)).collect();
         let values = DMatrixView::from_slice(&values, self.dimensions, samples);
-        let share = (voters.len() as f32).recip();
-        for member in voters {
-            let found = member.scores(&values, self.classes);
-            let found = found.as_slice().iter();
-            scores
-                .iter_mut()
-                .zip(found)
-                .for_each(|(sum, score)| *sum += share * score);
-        }
+        let voters = self.voters(block);
+        let mut inner = voters.biases(samples);
+        inner.gemm(1.0, &voters.hidden, &values, 1.0);
+        voters.scores(inner, scores);
     }
 }
 
-impl Perceptron {
-    /// A column of probabilities for each column of features.
-    fn scores(&self, values: &DMatrixView<'_, f32>, classes: usize) -> DMatrix<f32> {
-        let units = self.hidden_biases.len();
-        let hidden = DMatrixView::from_slice(&self.hidden, values.nrows(), units);
-        let mut inner = forward(&hidden, &self.hidden_biases, values);
+/// Members that are asked together, their hidden units as one layer.
+#[derive(Debug, Clone)]
+pub struct Voters<'a> {
+    members: Vec<&'a Perceptron>,
+    /// A row of weights a hidden unit.
+    hidden: DMatrix<f32>,
+    biases: Vec<f32>,
+    classes: usize,
+}
+
+impl Voters<'_> {
+    /// Weights of all hidden units, a row each.
+    pub fn hidden(&self) -> &DMatrix<f32> {
+        &self.hidden
+    }
+
+    /// What hidden units have before any feature is weighed, for so many samples, a column each.
+    pub fn biases(&self, samples: usize) -> DMatrix<f32> {
+        DMatrix::from_fn(self.biases.len(), samples, |unit, _| self.biases[unit])
+    }
+
+    /// Probabilities of the classes, as of [`Network::predict`], from what hidden units have, a column a sample, before anything
+    /// is cut off.
+    pub fn scores(&self, mut inner: DMatrix<f32>, scores: &mut [f32]) {
+        scores.fill(0.0);
         inner.iter_mut().for_each(|value| *value = value.max(0.0));
-        let output = DMatrixView::from_slice(&self.output, units, classes);
-        let mut scores = forward(&output, &self.output_biases, &inner.as_view());
-        scores
-            .as_mut_slice()
-            .chunks_exact_mut(classes)
-            .for_each(softmax);
-        scores
+        let share = (self.members.len() as f32).recip();
+        let mut first = 0;
+        for member in &self.members {
+            let units = member.hidden_biases.len();
+            let output = DMatrixView::from_slice(&member.output, units, self.classes);
+            let inner = inner.rows(first, units).into_owned();
+            let mut found = forward(&output, &member.output_biases, &inner.as_view());
+            let found = found.as_mut_slice();
+            found.chunks_exact_mut(self.classes).for_each(softmax);
+            scores
+                .iter_mut()
+                .zip(found)
+                .for_each(|(sum, score)| *sum += share * *score);
+            first += units;
+        }
     }
 }
 

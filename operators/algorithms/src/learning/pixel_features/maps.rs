@@ -1,5 +1,9 @@
 //! What a network sees, read at single pixels.
 
+use nalgebra::{DMatrix, DMatrixView};
+
+use crate::processor::vectorised;
+
 /// What one stage of a network sees of an image.
 #[derive(Debug, Clone, PartialEq)]
 pub struct FeatureMap {
@@ -45,7 +49,47 @@ impl FeatureMap {
         }
     }
 
+    /// Linear functions of the bytes of the cells, which are not rounded here: a row of weights each.
+    pub(super) fn projected(&self, weights: &DMatrixView<'_, f32>) -> Self {
+        let byte = |value: &f32| (128.0 + BYTES_PER_UNIT * value).clamp(0.0, 255.0);
+        let bytes: Vec<f32> = self.values.iter().map(byte).collect();
+        let cells = self.size[0] * self.size[1];
+        let bytes = DMatrixView::from_slice(&bytes, self.channels, cells);
+        let mut found = DMatrix::zeros(weights.nrows(), cells);
+        found.gemm(1.0, weights, &bytes, 0.0);
+        Self {
+            channels: weights.nrows(),
+            values: found.data.into(),
+            ..*self
+        }
+    }
+
+    /// Adds what lies between the four cells around some pixels of a row to the numbers of each.
+    pub(super) fn add(&self, us: &[usize], v: usize, sums: &mut [f32]) {
+        let (above, below, down) = self.between(1, v);
+        let length = self.size[0] * self.channels;
+        let [above, below] = [above, below].map(|row| &self.values[row * length..][..length]);
+        let mut line = vec![0.0; length];
+        vectorised(
+            #[inline(always)]
+            || {
+                for (value, (above, below)) in line.iter_mut().zip(above.iter().zip(below)) {
+                    *value = above + down * (below - above);
+                }
+                for (u, sums) in us.iter().zip(sums.chunks_exact_mut(self.channels)) {
+                    let (left, right, along) = self.between(0, *u);
+                    let [left, right] =
+                        [left, right].map(|cell| &line[cell * self.channels..][..self.channels]);
+                    for (sum, (left, right)) in sums.iter_mut().zip(left.iter().zip(right)) {
+                        *sum += left + along * (right - left);
+                    }
+                }
+            },
+        );
+    }
+
     /// The cells on both sides of a pixel along an axis, and how far it is from the first to the second.
+    #[inline(always)]
     fn between(&self, axis: usize, at: usize) -> (usize, usize, f32) {
         let last = self.size[axis] - 1;
         let place = (at as f32 + 0.5) * self.cells_per_px[axis] - 0.5;

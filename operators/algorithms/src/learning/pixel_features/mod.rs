@@ -12,6 +12,7 @@
 mod boxes;
 mod colour;
 mod description;
+mod linear;
 mod maps;
 mod sampling;
 mod sift;
@@ -24,6 +25,7 @@ use boxes::Integrals;
 pub use description::{
     BACKBONE_CHANNELS, FeatureDescription, FeatureError, FeatureOptions, Window,
 };
+pub use linear::LinearFeatures;
 pub use maps::FeatureMap;
 pub use sampling::{LabelledFeatures, SamplingOptions, labelled_features};
 use sift::DenseSift;
@@ -82,6 +84,11 @@ impl PixelFeatures {
     /// Width and height of the image, px.
     pub fn size(&self) -> [usize; 2] {
         [self.width, self.height]
+    }
+
+    /// How many features a pixel has.
+    pub fn dimensions(&self) -> usize {
+        self.description.dimensions()
     }
 
     /// Writes the features of a pixel; positions beyond the image stand for the nearest pixel. `out` has room for

@@ -1,4 +1,5 @@
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+use nalgebra::DMatrix;
 use proptest::prelude::*;
 
 use super::sampling::{SampledPixels, sample_pixels};
@@ -147,6 +148,60 @@ fn what_a_network_sees_stands_behind_windows_at_each_size() {
     assert_eq!(refused(NO_BACKBONE).as_deref(), Some(said));
     let said = "features: expected 464 values, found 0";
     assert_eq!(refused(|_, _| Ok(Vec::new())).as_deref(), Some(said));
+}
+
+/// A stage of half the sides and one of a quarter of them, all numbers different.
+fn two_stages(image: &ColourView<'_>, area_px: u32) -> Result<Vec<FeatureMap>, String> {
+    let mut random = SplitMix64(area_px.into());
+    let stages = [(64, 2), (400, 4)].map(|(channels, px)| {
+        let size = [image.width().div_ceil(px), image.height().div_ceil(px)];
+        let count = size[0] * size[1] * channels;
+        FeatureMap {
+            channels,
+            size,
+            cells_per_px: [1.0 / px as f32; 2],
+            values: (0..count)
+                .map(|_| 31.0 * (2.0 * random.unit() - 1.0) as f32)
+                .collect(),
+        }
+    });
+    Ok(stages.into())
+}
+
+#[test]
+fn linear_functions_of_features_are_those_of_their_bytes() {
+    let (width, height) = (24, 18);
+    let data = picture(width, height, 5);
+    let what = FeatureDescription {
+        options: FeatureOptions {
+            sift_bins_px: vec![3],
+            backbone_areas_px: vec![4096, 8192],
+            ..FeatureOptions::default()
+        },
+        wraps: false,
+    };
+    let mut random = SplitMix64(8);
+    let weights = DMatrix::from_fn(3, what.dimensions(), |_, _| random.unit() as f32 - 0.5);
+    let features = || PixelFeatures::new(&what, &view(width, height, &data), two_stages).unwrap();
+    let bytes = features();
+    // Of all pixels, both stages have few cells; of a sixteenth, neither has; of a quarter, the second one alone.
+    for (stride, coarse) in [(1, 4), (2, 2), (4, 0)] {
+        let us: Vec<usize> = (0..width).step_by(stride).collect();
+        let vs = (0..height).step_by(stride);
+        let layer = LinearFeatures::new(features(), &weights, us.len() * vs.len());
+        assert_eq!(layer.projected(), coarse, "{stride}");
+        for v in vs {
+            let mut sums = DMatrix::repeat(3, us.len(), 1.0);
+            layer.add(&us, v, &mut sums);
+            for (u, sums) in us.iter().zip(sums.column_iter()) {
+                let values = values(&bytes, &what, *u, v).into_iter().map(f32::from);
+                let values = DMatrix::from_iterator(what.dimensions(), 1, values);
+                let off = (sums - DMatrix::repeat(3, 1, 1.0) - &weights * values).amax();
+                // Weights deviate by 0.29, and so do a thousand numbers from their bytes: five times what that makes.
+                assert!(off < 13.0, "{u} {v}: {off}");
+            }
+        }
+    }
 }
 
 #[test]
