@@ -170,7 +170,7 @@ fn two_stages(image: &ColourView<'_>, area_px: u32) -> Result<Vec<FeatureMap>, S
 
 #[test]
 fn linear_functions_of_features_are_those_of_their_bytes() {
-    let (width, height) = (24, 18);
+    let (width, height) = (24, 16);
     let data = picture(width, height, 5);
     let what = FeatureDescription {
         options: FeatureOptions {
