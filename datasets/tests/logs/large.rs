@@ -165,7 +165,8 @@ proptest! {
         });
         let ((mut whole, whole_a, whole_lost), (mut small, small_a, small_lost)) = (whole, small);
         // What is flipped may be a time.
-        if !in_order || matches!(damage, Damage::Flipped(_)) {
+        let is_flipped = matches!(damage, Damage::Flipped(_));
+        if !in_order || is_flipped && !small.is_sorted_by_key(|(_, _, time, _)| *time) {
             whole.sort();
             small.sort();
         }

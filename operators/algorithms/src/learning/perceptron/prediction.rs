@@ -57,20 +57,6 @@ impl Network {
             classes: self.classes,
         }
     }
-
-    /// Probabilities of the classes for each sample, all classes taken for equally frequent: the mean over all members, or,
-    /// of a block that some members have held out, over those. `values` has the features of one sample after the other,
-    /// `scores` room for as many distributions; samples beyond either are left out.
-    pub fn predict(&self, values: &[u8], block: Option<u32>, scores: &mut [f32]) {
-        let samples = (values.len() / self.dimensions).min(scores.len() / self.classes);
-        let values = values[..samples * self.dimensions].iter();
-        let values: Vec<f32> = values.map(|value| f32::from(*value)).collect();
-        let values = DMatrixView::from_slice(&values, self.dimensions, samples);
-        let voters = self.voters(block);
-        let mut inner = voters.biases(samples);
-        inner.gemm(1.0, &voters.hidden, &values, 1.0);
-        voters.scores(inner, scores);
-    }
 }
 
 /// Members that are asked together, their hidden units as one layer.
@@ -94,8 +80,8 @@ impl Voters<'_> {
         DMatrix::from_fn(self.biases.len(), samples, |unit, _| self.biases[unit])
     }
 
-    /// Probabilities of the classes, as of [`Network::predict`], from what hidden units have, a column a sample, before anything
-    /// is cut off.
+    /// Probabilities of the classes for each sample, all classes taken for equally frequent: the mean over the members. `inner` has
+    /// what hidden units have before anything is cut off, a column a sample, `scores` room for as many distributions.
     pub fn scores(&self, mut inner: DMatrix<f32>, scores: &mut [f32]) {
         scores.fill(0.0);
         inner.iter_mut().for_each(|value| *value = value.max(0.0));

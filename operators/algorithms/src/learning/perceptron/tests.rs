@@ -1,4 +1,6 @@
 #![allow(clippy::unwrap_used)]
+use nalgebra::DMatrix;
+
 use super::*;
 use crate::learning::samples::Samples;
 use crate::solving::random::SplitMix64;
@@ -39,8 +41,14 @@ fn options() -> NetworkOptions {
 }
 
 fn predict(network: &Network, values: &[u8], block: Option<u32>) -> Vec<f32> {
-    let mut scores = vec![0.0; values.len() / 3 * 2];
-    network.predict(values, block, &mut scores);
+    let samples = values.len() / 3;
+    let values = values.iter().map(|value| f32::from(*value));
+    let values = DMatrix::from_iterator(3, samples, values);
+    let voters = network.voters(block);
+    let mut inner = voters.biases(samples);
+    inner.gemm(1.0, voters.hidden(), &values, 1.0);
+    let mut scores = vec![0.0; 2 * samples];
+    voters.scores(inner, &mut scores);
     scores
 }
 

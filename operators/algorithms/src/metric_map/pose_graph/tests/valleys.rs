@@ -194,7 +194,8 @@ proptest! {
 
     #[test]
     fn what_is_best_under_unequal_information_is_never_called_otherwise(seed in any::<u64>()) {
-        prop_assert_ne!(certified_unequal(seed), Optimality::NotOptimal);
+        // Along chords the bound may be too short to say, as of seed 17082872600856739991 by 1.4 %.
+        prop_assert_ne!(certify(&unequal(seed)).unwrap(), Optimality::NotOptimal);
     }
 
     #[test]
@@ -211,9 +212,9 @@ proptest! {
     }
 }
 
-/// The certificate of a graph whose information is unequal, as odometry's is: height, roll and pitch are known worse or better
-/// than what wheels measure.
-fn certified_unequal(seed: u64) -> Optimality {
+/// A relaxed graph whose information is unequal, as odometry's is: height, roll and pitch are known worse or better than what
+/// wheels measure.
+fn unequal(seed: u64) -> Graph<Pose, 6> {
     let (mut graph, _, _) = rounds(block, 0.0, seed);
     let unequal = Vector6::new(1.0, 1.0, 3.0, 0.5, 0.5, 1.0);
     for edge in &mut graph.edges {
@@ -221,14 +222,15 @@ fn certified_unequal(seed: u64) -> Optimality {
     }
     start(&mut graph).unwrap();
     relax(&mut graph, &options()).unwrap();
-    certify(&graph).unwrap()
+    graph
 }
 
-/// The bound meets the cost of all but a few such graphs.
 #[test]
 fn unequal_information_is_certified_too() {
-    let certified = (1..=24).filter(|seed| certified_unequal(*seed) == Optimality::Optimal);
-    assert!(certified.count() >= 23);
+    for seed in 1..=24 {
+        let found = certify(&unequal(seed)).unwrap();
+        assert_eq!(found, Optimality::Optimal, "{seed}");
+    }
 }
 
 /// From odometry alone, all loops are found to be false here, and the drive ends 20 m off.
