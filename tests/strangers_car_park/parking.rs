@@ -186,6 +186,40 @@ fn occupied_as_in(world: &Path, map: &Path, session: &str) -> [usize; 2] {
     [seen, right]
 }
 
+/// Under each car is the floor that another drive saw free, where one did.
+fn floors_under_cars_were_seen_by_others(map: &Path) {
+    let states = rows(
+        map,
+        None,
+        "SELECT session, space, state FROM space_occupancy",
+    );
+    let floors = rows(
+        map,
+        None,
+        "SELECT session, space, seen_session FROM floor_under_cars",
+    );
+    let is_free = |session: &Value, space: &Value| {
+        states.iter().any(|row| {
+            row["state"] == "free" && row["session"] == *session && row["space"] == *space
+        })
+    };
+    let taken = states.iter().filter(|row| row["state"] == "taken").count();
+    assert_eq!(floors.len(), taken);
+    let mut seen = 0;
+    for floor in &floors {
+        let elsewhere = states
+            .iter()
+            .any(|row| row["state"] == "free" && row["space"] == floor["space"]);
+        assert_eq!(floor["seen_session"].is_null(), !elsewhere, "{floor}");
+        if elsewhere {
+            seen += 1;
+            assert!(is_free(&floor["seen_session"], &floor["space"]), "{floor}");
+        }
+    }
+    eprintln!("under {seen} of {taken} cars another drive saw the floor");
+    assert!(seen > 0);
+}
+
 /// The tile that a question names shows what is asked about.
 fn tiles_show_what_is_asked(map: &Path) {
     let counted = rows(
@@ -284,6 +318,7 @@ fn a_few_drawn_spaces_and_some_answers_find_the_others() {
     let computed = metric_steps_of(&map, 8);
     assert!(computed.is_empty(), "{computed:?}");
     assert_eq!(described_in(&map), [1, 8]);
+    floors_under_cars_were_seen_by_others(&map);
     let known = ["initial", "revisit_1"].map(|session| occupied_as_in(&world, &map, session));
     let [seen, right] = [0, 1].map(|of| known[0][of] + known[1][of]);
     assert!(right as f64 >= 0.98 * seen as f64, "{known:?}");

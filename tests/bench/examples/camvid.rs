@@ -332,16 +332,21 @@ impl Tally {
 fn probabilities(frame: &Frame, scores: &[f32], stride: u32, factors: &[f32]) -> Vec<f32> {
     let n = CLASSES.len();
     let columns = frame.width.div_ceil(stride);
-    let mut cells = scores.to_vec();
-    cells
-        .chunks_exact_mut(n)
-        .for_each(|cell| with_priors(cell, factors));
+    let cells = of_cells(scores, factors);
     let pixels = (0..frame.height).flat_map(|v| (0..frame.width).map(move |u| (u, v)));
     let cell = |(u, v): (u32, u32)| (v / stride * columns + u / stride) as usize;
     pixels
         .flat_map(|pixel| &cells[cell(pixel) * n..][..n])
         .copied()
         .collect()
+}
+
+fn of_cells(scores: &[f32], factors: &[f32]) -> Vec<f32> {
+    let mut cells = scores.to_vec();
+    cells
+        .chunks_exact_mut(CLASSES.len())
+        .for_each(|cell| with_priors(cell, factors));
+    cells
 }
 
 fn likeliest(probabilities: &[f32]) -> Vec<u8> {
@@ -408,22 +413,13 @@ fn best_power(held_out: &[(&Frame, Vec<f32>)], model: &Model, stride: u32) -> f6
 }
 
 /// The kernels that `crf_settings` would choose.
-fn best_kernels(held_out: &[(&Frame, Vec<f32>)], factors: &[f32], stride: u32) -> Kernels {
-    let example = |(frame, scores): &(&'_ Frame, Vec<f32>)| {
-        let own = probabilities(frame, scores, stride, factors);
-        Unary::from_probabilities(CLASSES.len(), &own).unwrap()
+fn best_kernels<'a>(held_out: &[(&'a Frame, Vec<f32>)], factors: &[f32], stride: u32) -> Kernels {
+    let example = |(frame, scores): &(&'a Frame, Vec<f32>)| {
+        let own = of_cells(scores, factors);
+        let unary = Unary::from_probabilities(CLASSES.len(), &own).unwrap();
+        Example::new(&frame.image(), stride, unary, false, &frame.labels).unwrap()
     };
-    let unaries: Vec<Unary> = held_out.iter().map(example).collect();
-    let examples: Vec<Example<'_>> = held_out
-        .iter()
-        .zip(unaries)
-        .map(|((frame, _), unary)| Example {
-            image: frame.image(),
-            unary,
-            wraps: false,
-            truth: &frame.labels,
-        })
-        .collect();
+    let examples: Vec<Example<'_>> = held_out.iter().map(example).collect();
     let trials = search(&examples, &SearchOptions::default()).unwrap();
     let labelled: usize = trials.iter().map(|trial| trial.examples).sum();
     let best = &trials[0];

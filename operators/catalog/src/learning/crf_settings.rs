@@ -42,7 +42,7 @@ impl Default for CrfSettingsParams {
 
 impl Operator for CrfSettings {
     const NAME: &'static str = "crf_settings";
-    const VERSION: u32 = 5;
+    const VERSION: u32 = 6;
     const PAGE: &'static str = include_str!("crf_settings.md");
     type Params = CrfSettingsParams;
     type Output = CrfSetting;
@@ -53,6 +53,8 @@ impl Operator for CrfSettings {
     }
 }
 
+const MISSIZED: &str = "scores do not have the size that they claim";
+
 /// A labelled image, still encoded.
 struct Encoded {
     scores: LabelledScores,
@@ -62,6 +64,8 @@ struct Encoded {
 /// The same, decoded.
 struct Decoded {
     rgb: Rgb,
+    cell_px: u32,
+    /// Of each cell.
     unary: Unary,
     wraps: bool,
     truth: Vec<u8>,
@@ -138,7 +142,7 @@ impl Encoded {
         let size = [scores.width, scores.height];
         let probabilities = &scores.probabilities.0;
         let view = ScoresView::new(size, scores.stride_px, classes.len(), probabilities)
-            .ok_or("scores do not have the size that they claim")?;
+            .ok_or(MISSIZED)?;
         let mut rgb = Rgb::default();
         colours(bytes, &mut rgb, || {
             undecoded(&scores.camera, &scores.image.format)
@@ -157,11 +161,10 @@ impl Encoded {
             scores.stamp,
         );
         let wraps = lenses.wraps(taken, size);
-        let unary = Unary::from_scores(&view, wraps)
-            .map_err(|_| "scores do not have the size that they claim")?;
         Ok(Decoded {
             rgb,
-            unary,
+            cell_px: scores.stride_px,
+            unary: Unary::of_cells(&view).map_err(|_| MISSIZED)?,
             wraps,
             truth: truth.data,
         })
@@ -181,12 +184,9 @@ fn renumbered(from: &[String], to: &[String]) -> [u8; 256] {
 
 impl Decoded {
     fn example(&self) -> Option<Example<'_>> {
-        Some(Example {
-            image: ColourView::new(self.rgb.width, self.rgb.height, &self.rgb.data)?,
-            unary: self.unary.clone(),
-            wraps: self.wraps,
-            truth: &self.truth,
-        })
+        let image = ColourView::new(self.rgb.width, self.rgb.height, &self.rgb.data)?;
+        let unary = self.unary.clone();
+        Example::new(&image, self.cell_px, unary, self.wraps, &self.truth).ok()
     }
 }
 

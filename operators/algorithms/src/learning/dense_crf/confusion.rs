@@ -19,7 +19,14 @@ impl Confusion {
     /// Counts pixels; those whose truth is no class are left out.
     pub fn add(&mut self, truth: &[u8], found: &[u8]) {
         for (truth, found) in truth.iter().zip(found) {
-            let (truth, found) = (usize::from(*truth), usize::from(*found));
+            self.add_as(std::slice::from_ref(truth), *found);
+        }
+    }
+
+    /// Counts pixels that were found to be of one class.
+    pub fn add_as(&mut self, truth: &[u8], found: u8) {
+        let found = usize::from(found);
+        for truth in truth.iter().map(|truth| usize::from(*truth)) {
             if truth < self.classes && found < self.classes {
                 self.pixels[truth * self.classes + found] += 1;
             }

@@ -7,7 +7,7 @@
 
 use super::softmax::{softmax, sum};
 use super::tiles::Tiles;
-use super::{ColourView, CrfError, Kernels, Marginals, Unary};
+use super::{ColourView, CrfError, Kernels, Marginals, Unary, fits};
 use crate::learning::permutohedral::{BLOCK, Buffer, Eight, Lattice, Value};
 use crate::processor::vectorised;
 
@@ -73,7 +73,7 @@ impl RandomField {
     /// # Errors
     /// [`CrfError::Size`] for costs of another number of pixels.
     pub fn infer(&self, unary: &Unary, iterations: u32) -> Result<Marginals, CrfError> {
-        self.fits(unary.classes * self.pixels(), unary.costs.len())?;
+        fits(unary.classes * self.pixels(), unary.costs.len())?;
         let probabilities = match unary.classes {
             0..=9 => self.run::<1>(unary, iterations),
             10..=17 => self.run::<2>(unary, iterations),
@@ -86,13 +86,6 @@ impl RandomField {
             classes: unary.classes,
             probabilities,
         })
-    }
-
-    pub(super) fn fits(&self, expected: usize, found: usize) -> Result<(), CrfError> {
-        if expected != found {
-            return Err(CrfError::Size { expected, found });
-        }
-        Ok(())
     }
 
     /// With the classes padded to `K` times eight. One more follows from the others: all together are what the filter

@@ -20,6 +20,7 @@
 //! deviation along x is then rounded, so that the panorama is a whole number of lattice cells wide; no dimension is added.
 
 mod confusion;
+mod example;
 mod image;
 mod mean_field;
 mod search;
@@ -31,9 +32,10 @@ mod unary;
 mod upsample;
 
 pub use confusion::Confusion;
+pub use example::Example;
 pub use image::ColourView;
 pub use mean_field::RandomField;
-pub use search::{Example, SearchOptions, Trial, search};
+pub use search::{SearchOptions, Trial, search};
 pub use unary::Unary;
 
 use schemars::JsonSchema;
@@ -126,6 +128,16 @@ pub enum CrfError {
 }
 
 impl Kernels {
+    /// The same for an image whose pixels are cells of so many pixels a side. Weights stay, as what a kernel sums is
+    /// normalised by what it makes of ones.
+    fn in_cells(self, cell_px: usize) -> Self {
+        Self {
+            appearance_px: self.appearance_px / cell_px as f64,
+            smoothness_px: self.smoothness_px / cell_px as f64,
+            ..self
+        }
+    }
+
     /// Kernels may be data: learnt ones come from a table.
     fn check(&self) -> Result<(), CrfError> {
         let deviations = [
@@ -139,6 +151,13 @@ impl Kernels {
                 .iter()
                 .all(|weight| *weight >= 0.0 && weight.is_finite());
         sound.then_some(()).ok_or(CrfError::Kernels(*self))
+    }
+}
+
+fn fits(expected: usize, found: usize) -> Result<(), CrfError> {
+    match expected == found {
+        true => Ok(()),
+        false => Err(CrfError::Size { expected, found }),
     }
 }
 

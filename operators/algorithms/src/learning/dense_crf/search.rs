@@ -7,20 +7,7 @@ use rayon::prelude::*;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::{ColourView, Confusion, CrfError, Kernels, MeanField, RandomField, Unary};
-
-/// An image whose classes are known, with costs from a classifier that has not learnt from it.
-#[derive(Debug, Clone)]
-pub struct Example<'a> {
-    /// The image.
-    pub image: ColourView<'a>,
-    /// What its pixels are by themselves.
-    pub unary: Unary,
-    /// Whether its last column is next to its first one, as in a full panorama.
-    pub wraps: bool,
-    /// The classes of its pixels, row by row; values that are no class (255) are not scored.
-    pub truth: &'a [u8],
-}
+use super::{Confusion, CrfError, Example, Kernels, MeanField};
 
 /// How kernels are searched.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -78,7 +65,7 @@ type Steps = [i32; 5];
 /// mean of images.
 ///
 /// # Errors
-/// [`CrfError`] for kernels that cannot be used, and examples whose image, costs and truth do not have the same pixels.
+/// [`CrfError`] for kernels that cannot be used.
 pub fn search(examples: &[Example<'_>], options: &SearchOptions) -> Result<Vec<Trial>, CrfError> {
     let race = Race::new(examples, options)?;
     let mut tried: BTreeMap<Steps, Runner> = BTreeMap::new();
@@ -139,7 +126,7 @@ struct Race<'a> {
 
 impl<'a> Race<'a> {
     fn new(examples: &'a [Example<'a>], options: &'a SearchOptions) -> Result<Self, CrfError> {
-        let classes = examples.iter().map(|example| example.unary.classes()).max();
+        let classes = examples.iter().map(|example| example.classes()).max();
         let mut order: Vec<usize> = (0..examples.len()).collect();
         order.sort_by_key(|index| index.reverse_bits());
         let kernels = Kernels {
@@ -166,7 +153,7 @@ impl<'a> Race<'a> {
         for heat in self.examples.chunks(HEAT) {
             let labelled: Vec<Confusion> = heat
                 .par_iter()
-                .map(|example| self.evaluate(example, &kernels))
+                .map(|example| example.labelled(&kernels, self.options.mean_field, self.sum(&[])))
                 .collect::<Result<_, _>>()?;
             found.extend(labelled);
             if best.is_some_and(|best| self.is_better(&best.found, &found)) {
@@ -174,16 +161,6 @@ impl<'a> Race<'a> {
             }
         }
         Ok(Runner { kernels, found })
-    }
-
-    fn evaluate(&self, example: &Example<'_>, kernels: &Kernels) -> Result<Confusion, CrfError> {
-        let MeanField { iterations } = self.options.mean_field;
-        let field = RandomField::new(&example.image, kernels, example.wraps)?;
-        field.fits(field.pixels(), example.truth.len())?;
-        let found = field.infer(&example.unary, iterations)?.labels();
-        let mut confusion = Confusion::new(self.classes);
-        confusion.add(example.truth, &found);
-        Ok(confusion)
     }
 
     /// Whether some kernels gain more than others on the examples that both have labelled, by more than a standard error.
@@ -239,6 +216,7 @@ impl<'a> Race<'a> {
 mod tests {
     #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
     use super::*;
+    use crate::learning::dense_crf::ColourView;
     use crate::learning::dense_crf::tests::of_labels;
 
     /// A start that smoothes everything away is left behind.
@@ -325,12 +303,9 @@ mod tests {
 
         fn example(&self) -> Example<'_> {
             let [width, height] = Self::SIZE.map(|side| side as u32);
-            Example {
-                image: ColourView::new(width, height, &self.colours).unwrap(),
-                unary: of_labels(2, &self.noisy, 0.7),
-                wraps: false,
-                truth: &self.truth,
-            }
+            let image = ColourView::new(width, height, &self.colours).unwrap();
+            let unary = of_labels(2, &self.noisy, 0.7);
+            Example::new(&image, 1, unary, false, &self.truth).unwrap()
         }
     }
 }

@@ -35,19 +35,25 @@ fn between(size: usize, stride: usize, wraps: bool) -> Vec<Between> {
 }
 
 impl Unary {
-    /// From probabilities of cells, bilinearly between their centres. With `wraps`, the last column of cells is next to
+    /// Of cells, from their probabilities.
+    ///
+    /// # Errors
+    /// As [`Unary::new`].
+    pub fn of_cells(scores: &ScoresView<'_>) -> Result<Self, CrfError> {
+        let table: [f32; 256] = std::array::from_fn(|byte| cost(byte as f32));
+        let costs = scores.probabilities().iter();
+        let costs = costs.map(|byte| table[usize::from(*byte)]);
+        Self::new(scores.classes(), costs.collect())
+    }
+
+    /// Of pixels, from probabilities of cells, bilinearly between their centres. With `wraps`, the last column of cells is next to
     /// the first one.
     ///
     /// # Errors
     /// As [`Unary::new`].
     pub fn from_scores(scores: &ScoresView<'_>, wraps: bool) -> Result<Self, CrfError> {
         if scores.stride() == 1 {
-            let table: [f32; 256] = std::array::from_fn(|byte| cost(byte as f32));
-            let costs = scores
-                .probabilities()
-                .iter()
-                .map(|byte| table[usize::from(*byte)]);
-            return Self::new(scores.classes(), costs.collect());
+            return Self::of_cells(scores);
         }
         let classes = scores.classes();
         let [width, height] = scores.size();
