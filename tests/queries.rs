@@ -635,6 +635,71 @@ fn sorts_windows_groups_and_joins_larger_than_memory_are_answered_from_disk() {
     }
 }
 
+/// A log of 2,000 messages of 400 kB, a few kilobytes when packed.
+fn log_of_heavy_rows(path: &Path) {
+    let chunks = mcap::WriteOptions::new().chunk_size(Some(1_600_000));
+    let mut log = chunks.create(File::create(path).unwrap()).unwrap();
+    let fields = b"uint32 n\nuint8[] data\n";
+    let schema = log.add_schema("a/msg/Heavy", "ros2msg", fields).unwrap();
+    let topic = log.add_channel(schema, "/heavy", "cdr", &BTreeMap::new());
+    let mut header = mcap::records::MessageHeader {
+        channel_id: topic.unwrap(),
+        sequence: 0,
+        log_time: 0,
+        publish_time: 0,
+    };
+    for n in 0..2000_u32 {
+        (header.sequence, header.log_time) = (n, n.into());
+        let data = [[0, 1, 0, 0], n.to_le_bytes(), 400_000_u32.to_le_bytes()].concat();
+        let data = [data, vec![0; 400_000]].concat();
+        log.write_to_known_channel(&header, &data).unwrap();
+    }
+    log.finish().unwrap();
+}
+
+/// Filters, and what deals rows out to the cores, put them together: a thousand of these have 400 MB.
+#[test]
+fn queries_of_heavy_rows_need_little_memory() {
+    let folder = tempfile::tempdir().unwrap();
+    let (log, out) = (
+        folder.path().join("log.mcap"),
+        folder.path().join("answer.csv"),
+    );
+    log_of_heavy_rows(&log);
+    let limit = format!("{MEMORY_MIB}MiB");
+    for (query, lines) in [
+        ("SELECT octet_length(data) AS bytes FROM \"/heavy\"", 2001),
+        (
+            "SELECT n, octet_length(data) AS bytes FROM \"/heavy\" WHERE n % 2 = 0",
+            1001,
+        ),
+        (
+            "SELECT data FROM \"/heavy\" WHERE octet_length(data) > 5 AND n % 100 = 0",
+            21,
+        ),
+        (
+            "SELECT sum(octet_length(data)) FROM messages WHERE sequence > 3",
+            2,
+        ),
+        (
+            "SELECT n % 4 AS part, max(octet_length(data)) FROM \"/heavy\" GROUP BY n % 4",
+            5,
+        ),
+    ] {
+        let mut asked = command(&["sql", "--sessions", text(&log), "--memory", &limit]);
+        asked.args(["--format", "csv", "--out", text(&out), query]);
+        let (ended, most) = watched(asked);
+        ended.expect(0);
+        let answer = std::fs::read(&out).unwrap();
+        let found = answer.iter().filter(|byte| **byte == b'\n').count();
+        assert_eq!(found, lines, "{query}");
+        assert!(
+            most <= MEMORY_MIB + BESIDE_MIB,
+            "{query}: {most} MiB resident"
+        );
+    }
+}
+
 /// What a map's versions are made of, by path.
 fn stored(map: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
     let folders = ["versions", "artifacts", "receipts", "runs"];

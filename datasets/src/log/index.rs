@@ -173,7 +173,7 @@ pub struct LogIndex {
 
 impl LogIndex {
     /// Raised where the same file gives another index, or other losses: what was kept before is then read anew.
-    pub const VERSION: u32 = 4;
+    pub const VERSION: u32 = 5;
 
     /// Reads the index of the file at `meta.location`: the summary where there is a sound one, else the whole file, one
     /// record at a time.

@@ -160,7 +160,7 @@ struct Section {
 }
 
 impl Section {
-    /// Record by record; `None` where one is cut, malformed, or there are more than an index holds.
+    /// Record by record; `None` where one is cut, malformed, or of the data, or there are more than an index holds.
     async fn read(window: &mut Window, section: Range<u64>) -> Result<Option<Self>, Fault> {
         let mut found = Self {
             indexed: Some(0),
@@ -176,6 +176,9 @@ impl Section {
             else {
                 return Ok(None);
             };
+            if is_data(opcode) {
+                return Ok(None);
+            }
             if is_summary(opcode) {
                 if length > longest(opcode) {
                     return Ok(None);
@@ -251,6 +254,20 @@ impl Section {
             indexed: self.indexed,
         })
     }
+}
+
+/// Whether a record stands in the data alone: what has one is no summary, wherever a footer says that it begins.
+fn is_data(opcode: u8) -> bool {
+    matches!(
+        opcode,
+        op::HEADER
+            | op::MESSAGE
+            | op::CHUNK
+            | op::MESSAGE_INDEX
+            | op::ATTACHMENT
+            | op::METADATA
+            | op::DATA_END
+    )
 }
 
 fn is_summary(opcode: u8) -> bool {

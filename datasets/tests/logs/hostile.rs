@@ -362,6 +362,17 @@ async fn a_summary_with_an_entry_of_no_bytes_is_not_believed() {
     assert_eq!(rows(&log, "/t").await, (3, vec![]));
 }
 
+/// What has messages is no summary, wherever a footer says that it begins: its messages would be passed over.
+#[tokio::test]
+async fn a_summary_that_begins_in_the_data_is_not_believed() {
+    let mut log = file(&[channel(1, 0, "/t", "json"), messages(&[1], 3)], &[]);
+    let says = log.len() - 8 - 20;
+    for start in [8, first()] {
+        log[says..says + 8].copy_from_slice(&start.to_le_bytes());
+        assert_eq!(rows(&log, "/t").await, (3, vec![]));
+    }
+}
+
 /// A channel that lacks a field has nulls for it, as long as nulls are small.
 #[tokio::test]
 async fn nulls_of_gigabytes_are_refused() {

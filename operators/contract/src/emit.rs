@@ -44,6 +44,7 @@ impl Losses {
 pub struct Emit<'a> {
     rows: &'a mut dyn FnMut(RecordBatch) -> Result<(), Fault>,
     losses: &'a mut Losses,
+    told: Option<&'a (dyn Fn(f64) + Sync)>,
 }
 
 impl<'a> Emit<'a> {
@@ -52,7 +53,26 @@ impl<'a> Emit<'a> {
         rows: &'a mut dyn FnMut(RecordBatch) -> Result<(), Fault>,
         losses: &'a mut Losses,
     ) -> Self {
-        Self { rows, losses }
+        Self {
+            rows,
+            losses,
+            told: None,
+        }
+    }
+
+    /// The same, where it is told how far the kernel has come.
+    pub fn told(self, told: &'a (dyn Fn(f64) + Sync)) -> Self {
+        Self {
+            told: Some(told),
+            ..self
+        }
+    }
+
+    /// Says which share (0 to 1) of the work is done on rows that were handed in and of which none came out yet.
+    pub fn progress(&self, share: f64) {
+        if let Some(told) = self.told {
+            told(share);
+        }
     }
 
     /// Emits typed rows of the output layer.

@@ -420,7 +420,7 @@ fn best_kernels<'a>(held_out: &[(&'a Frame, Vec<f32>)], factors: &[f32], stride:
         Example::new(&frame.image(), stride, unary, false, &frame.labels).unwrap()
     };
     let examples: Vec<Example<'_>> = held_out.iter().map(example).collect();
-    let trials = search(&examples, &SearchOptions::default()).unwrap();
+    let trials = search(&examples, &SearchOptions::default(), |_| ()).unwrap();
     let labelled: usize = trials.iter().map(|trial| trial.examples).sum();
     let best = &trials[0];
     let (pixels, classes) = (

@@ -122,7 +122,7 @@ impl Stream for Collector {
         if examples.is_empty() {
             return Ok(());
         }
-        let trials = search(&examples, &self.params.search);
+        let trials = search(&examples, &self.params.search, |share| emit.progress(share));
         let trials = trials.map_err(|error| Fault::data(error.to_string()))?;
         let ranked = trials.iter().zip(0..);
         emit.rows(

@@ -3,8 +3,13 @@
 //! Its sort spills what does not fit, but a batch must fit into its share of the memory, and so must two batches of what
 //! it has spilled, to be merged. So [`LightSortExec`] cuts what comes by bytes, looks how heavy the rows are, and then
 //! has them sorted so many at a time that a batch has a megabyte. Files are read in batches of a few megabytes, as far
-//! as they tell how large they are. What an expression makes of rows is made of few at a time (`spared`). How many rows
+//! as they tell how large they are. What filters and repartitions leave of batches is put together by bytes ([`filtered`]).
+//! What an expression makes of rows is made of few at a time (`spared`). How many rows
 //! a batch has depends on the rows alone, never on the memory there is, as results may depend on it.
+
+mod filtered;
+
+pub use filtered::is_filter;
 
 use std::fmt;
 use std::sync::{Arc, Mutex};
@@ -55,9 +60,9 @@ impl PhysicalOptimizerRule for LightBatches {
     ) -> Result<Arc<dyn ExecutionPlan>> {
         let most = options.execution.batch_size.get();
         let lighter = plan.transform_up(|plan| {
-            let light = match light_sort(&plan)? {
-                Some(sort) => Some(sort),
-                None => light_scan(&plan, most),
+            let light = match light_sort(&plan)?.or_else(|| light_scan(&plan, most)) {
+                Some(light) => Some(light),
+                None => filtered::light_filter(&plan)?,
             };
             let plan = light.map_or_else(|| Transformed::no(plan), Transformed::yes);
             let spared = spared(&plan.data, most)?;

@@ -135,6 +135,11 @@ pub trait Duty: fmt::Display + Send + Sync + Sized + 'static {
         Vec::new()
     }
 
+    /// Whether rows end.
+    fn boundedness(&self) -> Boundedness {
+        Boundedness::Bounded
+    }
+
     /// Whether rows come out in the order of the first child's.
     fn keeps_order(&self) -> bool {
         false
@@ -171,11 +176,12 @@ impl<D: Duty> Node<D> {
     /// As [`Duty::output`].
     pub fn try_new(duty: Arc<D>, children: Vec<Arc<dyn ExecutionPlan>>) -> Result<Self> {
         let (equivalences, partitioning) = duty.output(&children)?;
+        let boundedness = duty.boundedness();
         let properties = PlanProperties::new(
             equivalences,
             partitioning,
             EmissionType::Incremental,
-            Boundedness::Bounded,
+            boundedness,
         );
         Ok(Self {
             duty,

@@ -15,6 +15,7 @@
 //! ```
 
 use std::fmt;
+use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, OnceLock};
 
 use arrow::array::RecordBatch;
@@ -326,15 +327,26 @@ fn drive(
     let mut worker = job.worker();
     let (mut taken, mut done) = (0, 0);
     while let Some(batch) = rows.blocking_recv().transpose()? {
-        outlet.run(|emit| worker.push(&batch, emit))?;
+        outlet.run(&|_| (), |emit| worker.push(&batch, emit))?;
         taken += batch.num_rows();
         let now = taken.saturating_sub(worker.held()).max(done);
         outlet.done.add(now - done);
         done = now;
     }
-    outlet.run(|emit| worker.close(emit))?;
-    outlet.done.add(taken - done);
+    let tell = telling(&outlet.done, taken - done);
+    outlet.run(&tell, |emit| worker.close(emit))?;
+    tell(1.0);
     Ok(())
+}
+
+/// Counts so many rows as the share of them grows that a kernel says that it is done with.
+fn telling(done: &Count, rows: usize) -> impl Fn(f64) + Sync {
+    let told = AtomicUsize::new(0);
+    move |share| {
+        let now = (share.clamp(0.0, 1.0) * rows as f64) as usize;
+        let before = told.fetch_max(now, Ordering::Relaxed);
+        done.add(now.saturating_sub(before));
+    }
 }
 
 /// The metric that counts driving rows that a kernel is done with.
@@ -344,14 +356,16 @@ struct Outlet {
     operator: Arc<Operator>,
     sender: mpsc::Sender<DataFusionResult<RecordBatch>>,
     metrics: BaselineMetrics,
-    /// Driving rows that the kernel is done with; those of a key that is taken whole, when it is done with the key.
+    /// Driving rows that the kernel is done with; those of a key that is taken whole, when it is done with the key, or as it
+    /// tells.
     done: Count,
 }
 
 impl Outlet {
-    /// Runs a piece of kernel in the CPU pool, then hands on what it emitted.
+    /// Runs a piece of kernel in the CPU pool, which may tell how far it has come, then hands on what it emitted.
     fn run(
         &self,
+        tell: &(dyn Fn(f64) + Sync),
         piece: impl FnOnce(&mut Emit<'_>) -> Result<(), Fault> + Send,
     ) -> Result<(), Fault> {
         let timer = self.metrics.elapsed_compute().timer();
@@ -361,7 +375,7 @@ impl Outlet {
                 emitted.push(batch);
                 Ok(())
             };
-            let done = piece(&mut Emit::new(&mut collect, &mut losses));
+            let done = piece(&mut Emit::new(&mut collect, &mut losses).told(tell));
             (done, emitted, losses)
         });
         timer.done();
@@ -400,4 +414,20 @@ fn cpu_pool() -> Result<&'static ThreadPool, Fault> {
     })
     .as_ref()
     .map_err(|error| Fault::resource(format!("the CPU pool does not start: {error}")))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn rows_of_a_key_count_as_its_kernel_tells_and_once() {
+        let done = Count::new();
+        let tell = telling(&done, 10);
+        let counted = [0.25, 0.5, 0.1, f64::NAN, 7.0, 1.0].map(|share| {
+            tell(share);
+            done.value()
+        });
+        assert_eq!(counted, [2, 5, 5, 5, 10, 10]);
+    }
 }

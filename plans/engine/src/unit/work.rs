@@ -12,6 +12,7 @@ use evermap_datasets::scan::scanned;
 use evermap_schemas::record;
 use serde::{Deserialize, Serialize};
 
+use crate::nodes::light::is_filter;
 use crate::nodes::operator::{DRIVING_ROWS, OperatorExec};
 use crate::nodes::pixels::PixelsExec;
 
@@ -86,7 +87,7 @@ fn rows(plan: &dyn ExecutionPlan) -> Option<usize> {
     match (found.ok()?.num_rows, plan.children().as_slice()) {
         (Precision::Exact(rows), _) => Some(rows),
         // Fetches images, or deals rows out.
-        (Precision::Absent, [only]) => rows(only.as_ref()),
+        (Precision::Absent, [only]) if !is_filter(plan) => rows(only.as_ref()),
         _ => None,
     }
 }

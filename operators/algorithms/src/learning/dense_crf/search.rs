@@ -62,11 +62,15 @@ type Steps = [i32; 5];
 ///
 /// Kernels race: they label a few examples, and no more where they are worse than the best by a standard error (Maron and
 /// Moore, *Hoeffding races*, NIPS 1993). Differences are paired, and their errors by the jackknife, as an average class is no
-/// mean of images.
+/// mean of images. After each, `told` hears which share of the most trials is done.
 ///
 /// # Errors
 /// [`CrfError`] for kernels that cannot be used.
-pub fn search(examples: &[Example<'_>], options: &SearchOptions) -> Result<Vec<Trial>, CrfError> {
+pub fn search(
+    examples: &[Example<'_>],
+    options: &SearchOptions,
+    told: impl Fn(f64),
+) -> Result<Vec<Trial>, CrfError> {
     let race = Race::new(examples, options)?;
     let mut tried: BTreeMap<Steps, Runner> = BTreeMap::new();
     let mut here = [0; 5];
@@ -85,6 +89,7 @@ pub fn search(examples: &[Example<'_>], options: &SearchOptions) -> Result<Vec<T
                     let kernels = scaled(&options.start, there);
                     let runner = race.run(kernels, tried.get(&best))?;
                     tried.insert(there, runner);
+                    told(tried.len() as f64 / f64::from(options.trials));
                 }
                 if race.is_better(&tried[&there].found, &tried[&best].found) {
                     best = there;
@@ -215,6 +220,8 @@ impl<'a> Race<'a> {
 #[cfg(test)]
 mod tests {
     #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+    use std::cell::RefCell;
+
     use super::*;
     use crate::learning::dense_crf::ColourView;
     use crate::learning::dense_crf::tests::of_labels;
@@ -231,7 +238,12 @@ mod tests {
             start,
             ..SearchOptions::default()
         };
-        let trials = search(&[board.example()], &options).unwrap();
+        let heard = RefCell::new(Vec::new());
+        let tell = |share| heard.borrow_mut().push(share);
+        let trials = search(&[board.example()], &options, tell).unwrap();
+        let heard = heard.into_inner();
+        assert_eq!(heard.len() + 2, trials.len());
+        assert!(heard.is_sorted() && heard[0] > 0.0, "{heard:?}");
         let score = |trial: &Trial| {
             0.5 * (trial.confusion.pixel_accuracy() + trial.confusion.class_accuracy())
         };
@@ -250,7 +262,7 @@ mod tests {
     #[test]
     fn no_field_is_better_than_a_bad_one() {
         let board = Board::new(0.0, 0);
-        let trials = search(&[board.example()], &SearchOptions::default()).unwrap();
+        let trials = search(&[board.example()], &SearchOptions::default(), |_| ()).unwrap();
         assert!(weightless(&trials[0]), "{:?}", trials[0]);
         assert_eq!(trials[0].confusion.pixel_accuracy(), 1.0);
     }
@@ -260,12 +272,12 @@ mod tests {
     fn what_is_clearly_worse_is_given_up() {
         let board = Board::new(0.4, 20);
         let examples = vec![board.example(); 3 * HEAT];
-        let trials = search(&examples, &SearchOptions::default()).unwrap();
+        let trials = search(&examples, &SearchOptions::default(), |_| ()).unwrap();
         let given_up = trials.iter().filter(|trial| trial.examples < 3 * HEAT);
         let (given_up, all) = (given_up.count(), trials.len());
         assert!(given_up > 2, "{given_up} of {all}");
         assert!(trials.is_sorted_by(|a, b| a.examples >= b.examples));
-        let one = search(&examples[..1], &SearchOptions::default()).unwrap();
+        let one = search(&examples[..1], &SearchOptions::default(), |_| ()).unwrap();
         assert_eq!(trials[0].kernels, one[0].kernels);
     }
 
