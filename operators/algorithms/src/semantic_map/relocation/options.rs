@@ -58,8 +58,8 @@ pub enum TreeKind {
     /// Each area has one match, and counts by its size and by how small all its differences are.
     #[default]
     Weighted,
-    /// The interpretation tree of paper 2, Algorithm 1: areas of one class whose shapes differ by no more than the limits
-    /// of `ShapeLimits` match, wherever they are, and the matched ones are counted.
+    /// The interpretation tree of paper 2, Algorithm 1: areas of one class whose shapes differ by no more than limits
+    /// match, wherever they are, and the matched ones are counted.
     Interpretation,
 }
 

@@ -116,7 +116,7 @@ impl ViewMap {
 
     /// The `top` views that the query fits best, the best first (by score, then by number of matched areas, then by
     /// number), of those that `allowed` lets pass. Where the search alone decides, exactly those that comparing with every
-    /// view would give; else those of [`Options::candidates`].
+    /// view would give, but for [`Options::fused`], which bounds do not know; else those of [`Options::candidates`].
     pub fn search(&self, query: &Query, top: usize, allowed: impl Fn(u32) -> bool) -> Vec<Hit> {
         if let Some((counted, shapes)) = self.counted(query) {
             let views = (0..self.len() as u32).filter(|view| allowed(*view));
