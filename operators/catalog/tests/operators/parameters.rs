@@ -41,6 +41,19 @@ fn what_operators_share_has_one_default_range_and_meaning() {
 }
 
 #[test]
+fn the_tree_that_compares_views_is_a_word() {
+    for operator in ["relocations", "relocation_calibrations"] {
+        for tree in ["weighted", "interpretation"] {
+            let params = json!({ "tree": tree, "contact_rad": 0.1, "fused": true });
+            assert_eq!(faults(operator, params), Vec::<String>::new());
+        }
+        assert_eq!(faults(operator, json!({ "tree": "papers" })).len(), 1);
+        let limits = json!({ "max_eccentricity": 1.5, "contact_rad": -1 });
+        assert_eq!(faults(operator, limits).len(), 2);
+    }
+}
+
+#[test]
 fn senseless_parameters_are_refused() {
     assert_eq!(
         faults(

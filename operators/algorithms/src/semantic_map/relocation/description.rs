@@ -3,7 +3,7 @@
 use std::cmp::Reverse;
 use std::f32::consts::{PI, TAU};
 
-use super::options::{Options, divisor};
+use super::options::{Options, Scales, divisor};
 use crate::semantic_map::semantic_graph::{Area, Graph};
 
 /// One scale's worth of difference.
@@ -225,6 +225,55 @@ pub(super) fn order_in_map(graph: &Graph, options: &Options) -> Vec<usize> {
     order
 }
 
+/// The image that areas are of.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Image {
+    /// Its middle (px).
+    middle: [f32; 2],
+    /// The angle between neighbouring columns (rad).
+    pub(super) rad_per_px: f32,
+    /// Columns of a full turn, where the image wraps (px).
+    pub(super) circle_px: Option<f32>,
+}
+
+impl Image {
+    pub(super) fn new(graph: &Graph, options: &Options) -> Self {
+        Self {
+            middle: [
+                (graph.width as f32 - 1.0) / 2.0,
+                (graph.height as f32 - 1.0) / 2.0,
+            ],
+            rad_per_px: rad_per_px(graph, options),
+            circle_px: graph.wraps.then_some(graph.width as f32),
+        }
+    }
+
+    /// An area as small integers.
+    pub(super) fn code(&self, area: &Area, scales: &Scales) -> AreaCode {
+        let (rad_per_px, pixels) = (self.rad_per_px, area.pixels.max(1) as f32);
+        let units = |value: f32, scale: f64| in_units(value, scale).clamp(-FAR, FAR).round() as i32;
+        let modular = |angle: f32, whole: f32| {
+            ((angle / whole * 65536.0).round() as i64).rem_euclid(65536) as u16
+        };
+        let signed = |units: i32| (units + 32768) as u16;
+        AreaCode {
+            class: u16::from(area.class),
+            bearing: modular((area.u - self.middle[0]) * rad_per_px, TAU),
+            elevation: signed(units(
+                (area.v - self.middle[1]) * rad_per_px,
+                scales.elevation_rad,
+            )),
+            size: signed(units(
+                (pixels * rad_per_px * rad_per_px).ln(),
+                scales.log_size,
+            )),
+            elongation: signed(units(area.log_elongation(), scales.log_elongation)),
+            orientation: modular(area.orientation_rad, PI),
+            stretch: (area.eccentricity.clamp(0.0, 1.0).powi(2) * 65535.0) as u16,
+        }
+    }
+}
+
 /// A view's areas with what touches what: a query's the most important first, a map's class by class.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub(super) struct Description {
@@ -240,44 +289,19 @@ pub(super) struct Description {
 impl Description {
     /// A graph's areas in some order.
     pub(super) fn new(graph: &Graph, order: &[usize], options: &Options) -> Self {
-        let rad_per_px = rad_per_px(graph, options);
+        let image = Image::new(graph, options);
         let mut described = Self::default();
         let mut weights = Vec::with_capacity(order.len());
         for area in order {
             let area = &graph.areas[*area];
             let pixels = area.pixels.max(1) as f32;
             weights.push(pixels.powf(options.size_power as f32));
-            let scales = &options.scales;
-            let units =
-                |value: f32, scale: f64| in_units(value, scale).clamp(-FAR, FAR).round() as i32;
-            let middle = [
-                (graph.width as f32 - 1.0) / 2.0,
-                (graph.height as f32 - 1.0) / 2.0,
-            ];
-            let modular = |angle: f32, whole: f32| {
-                ((angle / whole * 65536.0).round() as i64).rem_euclid(65536) as u16
-            };
-            let signed = |units: i32| (units + 32768) as u16;
-            described.areas.push(AreaCode {
-                class: u16::from(area.class),
-                bearing: modular((area.u - middle[0]) * rad_per_px, TAU),
-                elevation: signed(units(
-                    (area.v - middle[1]) * rad_per_px,
-                    scales.elevation_rad,
-                )),
-                size: signed(units(
-                    (pixels * rad_per_px * rad_per_px).ln(),
-                    scales.log_size,
-                )),
-                elongation: signed(units(area.log_elongation(), scales.log_elongation)),
-                orientation: modular(area.orientation_rad, PI),
-                stretch: (area.eccentricity.clamp(0.0, 1.0).powi(2) * 65535.0) as u16,
-            });
+            described.areas.push(image.code(area, &options.scales));
         }
         let all: f32 = weights.iter().sum();
         let relative = |weight: &f32| ((weight / all * 65536.0) as u32).max(1);
         described.weights = weights.iter().map(relative).collect();
-        described.connect(graph, order, rad_per_px);
+        described.connect(graph, order, image.rad_per_px);
         described
     }
 

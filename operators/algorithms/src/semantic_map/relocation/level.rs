@@ -5,6 +5,7 @@ use std::cmp::Reverse;
 use pulp::{Arch, Simd, WithSimd};
 
 use super::description::{Areas, Description, LANES, Measure, order_in_map};
+use super::fused::ApartAreas;
 use super::options::Options;
 use super::tree::{Constraints, Interpretation, Pair, Tree};
 use crate::semantic_map::semantic_graph::Graph;
@@ -22,6 +23,8 @@ pub(super) struct Level {
     spans: Vec<Span>,
     /// Where each view's spans begin, and the number of all.
     starts: Vec<u32>,
+    /// All areas as they are, where two may be one of a query's.
+    apart: Option<ApartAreas>,
     arch: Arch,
 }
 
@@ -56,8 +59,13 @@ impl Level {
         let mut described = Description::default();
         let (mut offsets, mut starts) = (vec![0], vec![0]);
         let mut all_spans = Vec::new();
+        let mut apart = options.fused.then(|| ApartAreas::new(options));
         for graph in graphs {
-            let view = Description::new(graph, &order_in_map(graph, options), options);
+            let order = order_in_map(graph, options);
+            let view = Description::new(graph, &order, options);
+            if let Some(apart) = &mut apart {
+                apart.append(graph, &order);
+            }
             all_spans.append(&mut spans(&view.areas));
             starts.push(all_spans.len() as u32);
             described.append(view);
@@ -70,6 +78,7 @@ impl Level {
             offsets,
             spans: all_spans,
             starts,
+            apart,
             arch: Arch::new(),
         }
     }
@@ -91,6 +100,7 @@ impl Level {
             map: &self.described,
             blocks: of_view(&self.offsets)?,
             spans: self.spans.get(of_view(&self.starts)?)?,
+            apart: self.apart.as_ref(),
         })
     }
 
@@ -101,11 +111,7 @@ impl Level {
 
     pub(super) fn found(&self, pair: Pair<'_>, view: u32, tree: &mut Tree) -> Found {
         let grown = self.grown(&pair, tree);
-        Found {
-            rank: (Reverse(grown.evidence), Reverse(grown.pairs.len() as u32)),
-            view,
-            turn: pair.turn,
-        }
+        Found::new(grown.evidence, grown.pairs.len() as u32, view, pair.turn)
     }
 }
 
@@ -119,6 +125,14 @@ pub(super) struct Found {
 }
 
 impl Found {
+    pub(super) fn new(evidence: u32, matched: u32, view: u32, turn: u16) -> Self {
+        Self {
+            rank: (Reverse(evidence), Reverse(matched)),
+            view,
+            turn,
+        }
+    }
+
     pub(super) fn evidence(&self) -> u32 {
         self.rank.0.0
     }

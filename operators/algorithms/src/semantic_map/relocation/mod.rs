@@ -8,14 +8,18 @@
 //! Paper 2 (metric-topological-semantic map), sections IV and V. Two views are compared by an interpretation tree
 //! ([`ViewMap::compare`]): areas of one class and similar shape are matched, one after the other, as long as they fit what
 //! is matched already. Searching all views ([`ViewMap::search`]) gives the same answer as comparing with each, but most
-//! are ruled out by a bound: what each area of the query could at best be matched with, regardless of all others.
+//! are ruled out by a bound: what each area of the query could at best be matched with, regardless of all others. The paper's
+//! own tree, which counts matches, is [`TreeKind::Interpretation`].
 
 mod again;
 mod bounds;
 mod calibration;
 mod class_index;
+mod counted;
 mod description;
+mod fused;
 mod headings;
+mod interpretation;
 mod level;
 mod options;
 mod tree;
@@ -26,7 +30,7 @@ pub(super) mod tests;
 
 pub use calibration::{CalibrationOptions, SelfSearch, are_apart, distinctness, self_search};
 pub use class_index::ClassIndex;
-pub use options::{Options, Scales};
+pub use options::{Options, Scales, ShapeLimits, TreeKind};
 pub use view_map::{Hit, Query, ViewMap, matched_areas};
 
 /// The paper's similarity of two graphs: `σ = exp(1 - N / Nm)` of `areas` N in the query, of which `matched` Nm were found

@@ -51,10 +51,56 @@ pub(super) fn divisor(scale: f64) -> f64 {
     if scale > 0.0 { scale } else { f64::INFINITY }
 }
 
+/// The tree that compares two views.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum TreeKind {
+    /// Each area has one match, and counts by its size and by how small all its differences are.
+    #[default]
+    Weighted,
+    /// The interpretation tree of paper 2, Algorithm 1: areas of one class whose shapes differ by no more than limits
+    /// match, wherever they are, and the matched ones are counted.
+    Interpretation,
+}
+
+/// By how much the shapes of areas that the tree `interpretation` matches differ, at most. The paper leaves the numbers out.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(default)]
+pub struct ShapeLimits {
+    /// The tree `interpretation` matches areas whose eccentricities, sqrt(1 - width² / length²), differ by no more than this;
+    /// 1 accepts any.
+    #[schemars(range(min = 0.0, max = 1.0))]
+    pub max_eccentricity: f64,
+    /// And whose lengths over widths, which the paper calls eccentricity in another section, differ by no more than this. The
+    /// default accepts any.
+    #[schemars(range(min = 0.0, max = 1e6))]
+    pub max_length_over_width: f64,
+    /// And whose longer axes differ in direction by no more than this (rad); half of π accepts any.
+    #[schemars(range(min = 0.0, max = PI))]
+    pub max_orientation_rad: f64,
+}
+
+impl Default for ShapeLimits {
+    fn default() -> Self {
+        Self {
+            max_eccentricity: 0.1,
+            max_length_over_width: 1e6,
+            max_orientation_rad: 0.2,
+        }
+    }
+}
+
 /// How views are compared.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default)]
 pub struct Options {
+    /// The tree that compares two views: `weighted`, or `interpretation`, that of paper 2, which knows class, eccentricity,
+    /// orientation and what touches what, and counts matches. Of the other parameters it reads `boundary_factor`,
+    /// `field_of_view_rad`, `min_area_share` and `min_matched`.
+    pub tree: TreeKind,
+    /// What the tree `interpretation` takes for the same shape.
+    #[serde(flatten)]
+    pub shapes: ShapeLimits,
     /// What counts as a small difference.
     #[serde(flatten)]
     pub scales: Scales,
@@ -68,6 +114,13 @@ pub struct Options {
     /// between views 3 m apart.
     #[schemars(range(min = 0.0))]
     pub boundary_factor: f64,
+    /// Where two areas touch along more than this (rad), their matches touch, too, and where the matches do, the areas; 0 asks
+    /// it of all, null of none.
+    #[schemars(range(min = 0.0))]
+    pub contact_rad: Option<f64>,
+    /// Whether an area of the query may match two of the map's view that together are more like it than either: objects that
+    /// are apart there and hide each other here.
+    pub fused: bool,
     /// Directions between matched areas differ by no more than so many eighths of a turn; 4 accepts any. Worth setting to 1
     /// where bearings are left out.
     pub direction_steps: u8,
@@ -99,10 +152,14 @@ pub struct Options {
 impl Default for Options {
     fn default() -> Self {
         Self {
+            tree: TreeKind::default(),
+            shapes: ShapeLimits::default(),
             scales: Scales::default(),
             limit: 4.0,
             max_bearing_rad: 0.75,
             boundary_factor: 8.0,
+            contact_rad: None,
+            fused: false,
             direction_steps: 4,
             size_power: 0.15,
             headings: 24,

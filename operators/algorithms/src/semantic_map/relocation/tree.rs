@@ -1,9 +1,11 @@
 //! The interpretation tree: the areas of two views matched one after the other, each fitting all before.
 
+use std::cmp::Reverse;
 use std::f32::consts::TAU;
 use std::ops::Range;
 
 use super::description::{AreaCode, Areas, Block, Description, LANES, Measure, UNIT};
+use super::fused::ApartAreas;
 use super::level::Span;
 use super::options::{Options, divisor};
 use crate::semantic_map::semantic_graph::Relation;
@@ -40,6 +42,8 @@ pub(super) struct Pair<'a> {
     pub(super) blocks: Range<usize>,
     /// And which of those have areas of a class.
     pub(super) spans: &'a [Span],
+    /// The view's areas as they are, in its blocks; `None` where none is joined to another.
+    pub(super) apart: Option<&'a ApartAreas>,
 }
 
 impl Pair<'_> {
@@ -85,6 +89,8 @@ impl Pair<'_> {
 pub(super) struct Constraints {
     measure: Measure,
     boundary: f32,
+    /// Logarithm of the length from which on boundaries are in both views or in none.
+    contact: Option<f32>,
     direction_steps: u8,
     elevation_rad: f32,
 }
@@ -94,6 +100,7 @@ impl Constraints {
         Self {
             measure: Measure::new(options),
             boundary: options.boundary_factor.max(1.0).ln() as f32,
+            contact: options.contact_rad.map(|length| length.ln() as f32),
             direction_steps: options.direction_steps,
             elevation_rad: divisor(options.scales.elevation_rad) as f32 / UNIT,
         }
@@ -121,7 +128,11 @@ impl Tree {
             while let Some((at, evidence)) = best(&self.row, most) {
                 let other = first * LANES + at;
                 if self.fits(pair, rules, area, other) {
-                    self.take(area, other, u32::from(evidence) * pair.query.weights[area]);
+                    let weight = pair.query.weights[area];
+                    self.take(area, other, u32::from(evidence) * weight);
+                    if let Some(apart) = pair.apart {
+                        self.join(pair, rules, apart, [area, other], evidence);
+                    }
                     break;
                 }
                 self.row[at / LANES][at % LANES] = 0;
@@ -162,9 +173,46 @@ impl Tree {
         self.found.evidence += evidence;
     }
 
+    /// Joins to a match the area beside which it is most like the query's, where that is more than it is alone.
+    #[cold]
+    fn join(
+        &mut self,
+        pair: &Pair<'_>,
+        rules: &Constraints,
+        apart: &ApartAreas,
+        [area, other]: [usize; 2],
+        alone: u16,
+    ) {
+        let mut code = pair.query.areas.at(area);
+        code.bearing = code.bearing.wrapping_add(pair.turn);
+        let like = pair.like(&code);
+        let first = (like.start - pair.blocks.start) * LANES;
+        let end = (like.end - pair.blocks.start) * LANES;
+        let free = |at: &usize| self.free[at / LANES][at % LANES] != 0;
+        let view = pair.blocks.start * LANES;
+        let joined = |at: usize| {
+            let both = apart.joined(view + other, view + at)?;
+            let mut one = Areas::default();
+            one.push(both);
+            Some(rules.measure.evidence(&code, &one.blocks[0])[0])
+        };
+        let candidates = (first..end).filter(free);
+        let more = candidates.filter_map(|at| Some((joined(at)?, at)));
+        let best = more
+            .filter(|(evidence, at)| *evidence > alone && self.fits(pair, rules, area, *at))
+            .max_by_key(|(evidence, at)| (*evidence, Reverse(*at)));
+        if let Some((evidence, at)) = best {
+            self.free[at / LANES][at % LANES] = 0;
+            self.found.evidence += u32::from(evidence - alone) * pair.query.weights[area];
+        }
+    }
+
     /// Whether two areas fit all pairs so far.
     fn fits(&self, pair: &Pair<'_>, rules: &Constraints, area: usize, other: usize) -> bool {
         self.boundaries_fit(pair, rules.boundary, area, other)
+            && rules
+                .contact
+                .is_none_or(|least| self.contacts_fit(pair, least, area, other))
             && (rules.direction_steps >= 4 || self.directions_fit(pair, rules, area, other))
     }
 
@@ -180,6 +228,25 @@ impl Tree {
                 let touching = theirs.iter().find(|(at, _)| *at == partner);
                 touching.is_none_or(|(_, other)| (length - other).abs() <= most)
             })
+    }
+
+    /// Whether what touches one of two areas along more than `least` is matched with what touches the other one, as far as
+    /// it is matched.
+    fn contacts_fit(&self, pair: &Pair<'_>, least: f32, area: usize, other: usize) -> bool {
+        let (ours, theirs) = (
+            pair.query.neighbours(area),
+            pair.map.neighbours(pair.blocks.start * LANES + other),
+        );
+        let touches = |list: &[(u16, f32)], area: u16| list.iter().any(|(at, _)| *at == area);
+        let long = |(_, length): &&(u16, f32)| *length > least;
+        ours.iter().filter(long).all(|(neighbour, _)| {
+            let partner = self.partners[usize::from(*neighbour)];
+            partner.is_none_or(|partner| touches(theirs, partner))
+        }) && theirs.iter().filter(long).all(|(neighbour, _)| {
+            let mut pairs = self.found.pairs.iter();
+            let partner = pairs.find(|[_, at]| at == neighbour);
+            partner.is_none_or(|[partner, _]| touches(ours, *partner))
+        })
     }
 
     fn directions_fit(&self, pair: &Pair<'_>, rules: &Constraints, a: usize, b: usize) -> bool {

@@ -6,9 +6,11 @@ use std::ops::Range;
 
 use super::again::Again;
 use super::bounds::Bounds;
+use super::counted::CountedViews;
 use super::description::{Description, order, order_in_map};
+use super::interpretation::Shapes;
 use super::level::{Found, Level};
-use super::options::Options;
+use super::options::{Options, TreeKind};
 use super::similarity;
 use super::tree::Tree;
 use crate::processor::vectorised;
@@ -27,6 +29,8 @@ pub struct ViewMap {
     pub(super) bounds: Bounds,
     /// What candidates are compared by again; `None` where the search alone decides.
     all: Option<Level>,
+    /// What the tree `interpretation` compares; `None` where the other one does.
+    counted: Option<CountedViews>,
 }
 
 /// A view that is looked for.
@@ -35,6 +39,8 @@ pub struct Query {
     pub(super) large: Description,
     /// With areas of any size; `None` where the search alone decides.
     all: Option<Description>,
+    /// For the tree `interpretation`.
+    shapes: Option<Shapes>,
 }
 
 impl Query {
@@ -55,12 +61,13 @@ pub struct Hit {
     /// Its number in the map.
     pub view: u32,
     /// Heading of the query relative to the view at which they fit best (rad), in (-π, π]. Of the search alone one of
-    /// [`Options::headings`].
+    /// [`Options::headings`]; of the tree `interpretation` that of most matches.
     pub turn_rad: f64,
     /// Areas of the query that were matched.
     pub matched: u32,
     /// What speaks for the match, from 0 (nothing matched) to 1 (every area without any difference): each area of the
-    /// query counts by its size, and each match by how small its differences are.
+    /// query counts by its size, and each match by how small its differences are. Of the tree `interpretation` the share of
+    /// the query's areas that were matched.
     pub score: f64,
     /// [`similarity`] of the numbers of areas.
     pub similarity: f64,
@@ -71,13 +78,16 @@ impl ViewMap {
     pub fn new<'a>(graphs: impl Iterator<Item = &'a Graph> + Clone, options: Options) -> Self {
         let code = |turn: f64| ((turn / TAU * 65536.0).round() as i64).rem_euclid(65536) as u16;
         let large = Level::new(graphs.clone(), &options);
-        let again = options.candidates > 0;
+        let counted = (options.tree == TreeKind::Interpretation)
+            .then(|| CountedViews::new(graphs.clone(), &options));
+        let again = options.candidates > 0 && counted.is_none();
         let turns: Vec<u16> = options.turns_rad().map(code).collect();
         Self {
             bounds: Bounds::new(&large.described, &large.offsets, &turns, &large.measure),
             turns,
             large,
             all: again.then(|| Level::new(graphs, &options.of_any_size())),
+            counted,
             options,
         }
     }
@@ -96,17 +106,22 @@ impl ViewMap {
     pub fn query(&self, graph: &Graph) -> Query {
         let described =
             |options: &Options| Description::new(graph, &order(graph, options), options);
-        let again = self.options.candidates > 0;
+        let again = self.all.is_some();
         Query {
             large: described(&self.options),
             all: again.then(|| described(&self.options.of_any_size())),
+            shapes: self.counted.as_ref().map(|counted| counted.query(graph)),
         }
     }
 
     /// The `top` views that the query fits best, the best first (by score, then by number of matched areas, then by
     /// number), of those that `allowed` lets pass. Where the search alone decides, exactly those that comparing with every
-    /// view would give; else those of [`Options::candidates`].
+    /// view would give, but for [`Options::fused`], which bounds do not know; else those of [`Options::candidates`].
     pub fn search(&self, query: &Query, top: usize, allowed: impl Fn(u32) -> bool) -> Vec<Hit> {
+        if let Some((counted, shapes)) = self.counted(query) {
+            let views = (0..self.len() as u32).filter(|view| allowed(*view));
+            return counted.best(shapes, views, top);
+        }
         if let Some(again) = self.again(query) {
             return again.search(top, allowed);
         }
@@ -137,6 +152,9 @@ impl ViewMap {
     /// Of the given views the `top` that the query fits best, as [`ViewMap::search`]. Views that there are not are passed
     /// over.
     pub fn among(&self, query: &Query, views: &[u32], top: usize) -> Vec<Hit> {
+        if let Some((counted, shapes)) = self.counted(query) {
+            return counted.best(shapes, views.iter().copied(), top);
+        }
         if let Some(again) = self.again(query) {
             let bounded = views.iter().filter_map(|view| again.bound(*view));
             return again.best(bounded.collect(), top);
@@ -153,6 +171,9 @@ impl ViewMap {
     /// One view, however little it fits, at the heading that fits best of those at which enough areas match; `None` for a
     /// view that there is not.
     pub fn compare(&self, query: &Query, view: u32) -> Option<Hit> {
+        if let Some((counted, shapes)) = self.counted(query) {
+            return counted.compare(shapes, view);
+        }
         let mut tree = Tree::default();
         if let Some(again) = self.again(query) {
             let found = again.compared(&again.bound(view)?, &mut tree)?;
@@ -178,6 +199,11 @@ impl ViewMap {
         bounds
     }
 
+    /// `None` where matches are weighed.
+    fn counted<'a>(&'a self, query: &'a Query) -> Option<(&'a CountedViews, &'a Shapes)> {
+        self.counted.as_ref().zip(query.shapes.as_ref())
+    }
+
     /// `None` where the search alone decides.
     fn again<'a>(&'a self, query: &'a Query) -> Option<Again<'a>> {
         Some(Again {
@@ -199,7 +225,7 @@ impl ViewMap {
         let most = f64::from(weight) * f64::from(self.large.measure.limit);
         Hit {
             view: found.view,
-            turn_rad: f64::from(found.turn as i16) / 65536.0 * TAU,
+            turn_rad: turn_rad(found.turn),
             matched,
             score: if most > 0.0 {
                 f64::from(found.evidence()) / most
@@ -209,6 +235,11 @@ impl ViewMap {
             similarity: similarity(query.areas() as u32, matched),
         }
     }
+}
+
+/// A turn in (-π, π] (rad), of `2^16` for a full one.
+pub(super) fn turn_rad(turn: u16) -> f64 {
+    f64::from(turn as i16) / 65536.0 * TAU
 }
 
 /// A view that may be a hit.
@@ -275,6 +306,10 @@ impl Best {
         self.found.truncate(self.top);
     }
 
+    pub(super) fn into_found(self) -> Vec<Found> {
+        self.found
+    }
+
     pub(super) fn hits(&self, map: &ViewMap, query: &Query) -> Vec<Hit> {
         let hits = self.found.iter().map(|found| map.hit(query, found));
         hits.collect()
@@ -287,11 +322,14 @@ pub fn matched_areas(query: &Graph, view: &Graph, options: &Options) -> Vec<[usi
     let map = ViewMap::new(std::iter::once(view), options.clone());
     let (asked, mut tree) = (map.query(query), Tree::default());
     let turn = map.turns.first();
-    let Some(pair) = turn.and_then(|turn| map.large.pair(&asked.large, 0, *turn)) else {
-        return Vec::new();
+    let pair = turn.and_then(|turn| map.large.pair(&asked.large, 0, *turn));
+    let matched = match (map.counted(&asked), pair) {
+        (Some((counted, shapes)), _) => counted.pairs(shapes, 0),
+        (None, Some(pair)) => map.large.grown(&pair, &mut tree).pairs.clone(),
+        (None, None) => Vec::new(),
     };
     let orders = [order(query, options), order_in_map(view, options)];
-    let matched = map.large.grown(&pair, &mut tree).pairs.iter();
+    let matched = matched.iter();
     matched
         .map(|[a, b]| [orders[0][usize::from(*a)], orders[1][usize::from(*b)]])
         .collect()

@@ -9,7 +9,9 @@ use super::*;
 use crate::semantic_map::semantic_graph::{Area, Edge, Graph};
 
 pub(in crate::semantic_map) mod graphs;
+mod interpretation;
 mod reference;
+mod relations;
 
 use graphs::{WIDTH, graph};
 
