@@ -4,8 +4,8 @@ use std::io::Read;
 use std::path::Path;
 
 use datafusion::error::DataFusionError;
-use evermap_contract::{ParamFault, Registry};
-use evermap_datasets::{Dataset, without_mark};
+use evermap_contract::{GivenFile, ParamFault, Registry};
+use evermap_datasets::{Dataset, read_at_most, without_mark};
 use evermap_language::{
     Host, OperatorSpec, ParameterFault, PortSpec, QueryFault, Source, Vocabulary,
 };
@@ -44,6 +44,9 @@ pub fn vocabulary(registry: &Registry) -> Vocabulary {
 
 /// The longest file of Python that is read (bytes).
 const LONGEST_CODE: u64 = 1 << 20;
+
+/// The largest file that a parameter names (bytes).
+const LARGEST_FILE: u64 = 32 << 20;
 
 fn query_fault(error: &DataFusionError) -> QueryFault {
     let Fault { message, next, .. } = fault_of(error);
@@ -98,6 +101,17 @@ impl Host for Surroundings<'_> {
             )),
             false => Ok(without_mark(&code).to_owned()),
         }
+    }
+
+    fn file(&self, path: &str, named_by: &str) -> Result<Value, String> {
+        let folder = Path::new(named_by).parent().unwrap_or(Path::new(""));
+        let there = folder.join(path);
+        let failed = |error| format!("{error} at {}", there.display());
+        let given = GivenFile {
+            file: path.to_owned(),
+            hex: read_at_most(&there, LARGEST_FILE).map_err(failed)?,
+        };
+        serde_json::to_value(given).map_err(|error| error.to_string())
     }
 
     fn manifest(&self) -> Option<Source> {
