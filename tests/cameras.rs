@@ -917,6 +917,26 @@ fn an_image_in_a_manifest_says_where_a_camera_shows_its_vehicle() {
     assert!(left == 0 && right > 0, "{left} and {right}");
     assert_eq!(versions, 2);
 
+    // The plan as composed names the file, and nobody reads what changed pixel by pixel.
+    let explain = ["explain", text(&plan), "--manifest", text(&manifest)];
+    let composed = evermap(&explain).expect(0).stdout;
+    assert!(composed.contains(text(&body)), "{composed}");
+    assert!(!composed.contains("hex"), "{composed}");
+    std::fs::write(&body, half(true, 255)).unwrap();
+    let more = [
+        "--sessions",
+        text(&log),
+        "--map",
+        text(&map),
+        "--format",
+        "json",
+    ];
+    let forecast = evermap(&[&explain[..], &more].concat()).expect(0).stdout;
+    assert!(
+        forecast.contains("body_masks.mask has changed"),
+        "{forecast}"
+    );
+
     let refused = |at_once: bool, said: &str| {
         let told = ended().expect(1).stderr;
         assert!(told.contains(said), "{said}: {told}");
@@ -925,12 +945,9 @@ fn an_image_in_a_manifest_says_where_a_camera_shows_its_vehicle() {
         assert_eq!(sides().1, 2);
     };
     std::fs::write(&body, b"P5\n99999 99999\n255\n").unwrap();
-    refused(true, "masks camera `front`, found body.pgm: expected 1 to ");
+    refused(true, "/body.pgm: expected 1 to ");
     std::fs::write(&body, "body").unwrap();
-    refused(
-        2,
-        "masks camera `front`, found body.pgm: expected a png or pgm with one value",
-    );
+    refused(2, "/body.pgm: expected a png or pgm with one value");
     std::fs::remove_file(&body).unwrap();
     refused(true, "expected a file for `front`, found nothing at ");
     let pipe = std::process::Command::new("mkfifo").arg(&body).status();

@@ -10,7 +10,7 @@ use serde::{Deserialize, Deserializer, Serialize, Serializer};
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct GivenFile {
-    /// Its path, as it was written.
+    /// Its path, as seen from where the program runs.
     pub file: String,
     /// Its bytes, two hexadecimal digits each.
     #[serde(serialize_with = "to_hex", deserialize_with = "from_hex")]

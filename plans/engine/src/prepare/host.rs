@@ -10,6 +10,7 @@ use evermap_language::{
     Host, OperatorSpec, ParameterFault, PortSpec, QueryFault, Source, Vocabulary,
 };
 use evermap_schemas::Fault;
+use serde::Deserialize;
 use serde_json::Value;
 
 use super::PlanText;
@@ -56,6 +57,20 @@ fn query_fault(error: &DataFusionError) -> QueryFault {
             next => format!("{message}; {next}"),
         },
         at: place_in_query(error),
+    }
+}
+
+/// Names the files that parameters were given by their paths again.
+pub fn by_path(params: &mut Value) {
+    let params = params.as_object_mut().into_iter().flatten();
+    let entries = params.filter_map(|(_, value)| value.as_object_mut());
+    for (_, entry) in entries.flatten() {
+        if let Ok(given) = GivenFile::deserialize(&*entry) {
+            let path = std::path::absolute(&given.file);
+            *entry = path
+                .map_or(given.file, |path| path.display().to_string())
+                .into();
+        }
     }
 }
 
@@ -108,7 +123,7 @@ impl Host for Surroundings<'_> {
         let there = folder.join(path);
         let failed = |error| format!("{error} at {}", there.display());
         let given = GivenFile {
-            file: path.to_owned(),
+            file: there.display().to_string(),
             hex: read_at_most(&there, LARGEST_FILE).map_err(failed)?,
         };
         serde_json::to_value(given).map_err(|error| error.to_string())
