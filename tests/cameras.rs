@@ -848,7 +848,7 @@ fn a_mount_that_is_sent_again_and_again_is_fixed_and_a_camera_that_moves_once_is
 
 const MASKED: &str = "plan: masked
 steps:
-  keyframes: { op: keyframes, with: { baseline_m: 0.5 } }
+  keyframes: { op: keyframes, in: { frames: frames }, with: { baseline_m: 0.5 } }
   images:
     sql: >
       SELECT site, session, stamp, keyframe, image['camera'] AS camera, image['image'] AS image
