@@ -845,3 +845,121 @@ fn a_mount_that_is_sent_again_and_again_is_fixed_and_a_camera_that_moves_once_is
     }
     assert_eq!(fixed, json!([]));
 }
+
+const MASKED: &str = "plan: masked
+steps:
+  keyframes: { op: keyframes, in: { frames: frames }, with: { baseline_m: 0.5 } }
+  images:
+    sql: >
+      SELECT site, session, stamp, keyframe, image['camera'] AS camera, image['image'] AS image
+      FROM (SELECT site, session, stamp, keyframe, unnest(images) AS image FROM keyframes)
+  body_masks: { op: body_masks, in: { images: images } }
+  features:
+    op: features
+    in: { images: images, body_masks: body_masks }
+    with: { scale: 1.0, count: 40, octaves: 0 }
+write: [body_masks, features]
+";
+
+/// A PGM of the images' size that is not 0 on this side of its middle.
+fn half(is_right: bool, value: u8) -> Vec<u8> {
+    let pixel = |at: usize| ((at % SIDE >= SIDE / 2) == is_right).then_some(value);
+    let pixels = (0..SIDE * SIDE).map(|at| pixel(at).unwrap_or(0));
+    let head = format!("P5\n{SIDE} {SIDE}\n255\n").into_bytes();
+    head.into_iter().chain(pixels).collect()
+}
+
+#[test]
+fn an_image_in_a_manifest_says_where_a_camera_shows_its_vehicle() {
+    let logs = Logs::new();
+    let plan = logs.path("masked.yaml");
+    std::fs::write(&plan, MASKED).unwrap();
+    let odometry = |second: f64| {
+        json!({
+            "parent_frame_id": "odom", "child_frame_id": "base_link",
+            "translation": {"x": second, "y": 0.0, "z": 0.0},
+            "rotation": {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0},
+        })
+    };
+    let topics = [
+        ("/tf", TRANSFORM, [0.0, 1.0, 2.0].map(odometry).to_vec()),
+        ("/front/image", IMAGE, vec![image(false); 3]),
+    ];
+    let log = logs.write("masked.mcap", &topics);
+    let manifest = logs.path("lot.yaml");
+    let named = "defaults:\n  mask:\n    front: body.pgm\n";
+    std::fs::write(&manifest, named).unwrap();
+    let (map, body) = (logs.path("masked"), logs.path("body.pgm"));
+    let ended = || run(text(&plan), &map, &[&log], &["--manifest", text(&manifest)]);
+    // Features left of the middle and right of it, and the versions there are.
+    let sides = || {
+        let sides = "SELECT count(*) FILTER (WHERE u < 79.5) AS l, count(*) FILTER (WHERE u > 79.5) AS r \
+                     FROM (SELECT unnest(u) AS u FROM features)";
+        let [sides, versions] =
+            [sides, "SELECT count(*) AS n FROM versions"].map(|sql| rows_of(&map, sql)[0].clone());
+        let of = |side: &str| sides[side].as_u64().unwrap();
+        ([of("l"), of("r")], versions["n"].as_u64().unwrap())
+    };
+    std::fs::write(&body, half(true, 255)).unwrap();
+    ended().expect(0);
+    let ([left, right], _) = sides();
+    assert!(left > 0 && right == 0, "{left} and {right}");
+    let masks = rows_of(&map, "SELECT camera, width, images, share FROM body_masks");
+    let given = json!([{"camera": "front", "width": SIDE, "images": 0, "share": 0.5}]);
+    assert_eq!(masks, given);
+    // The same mask in other bytes is the same; another one in the same file is not.
+    std::fs::write(&body, half(true, 1)).unwrap();
+    ended().expect(0);
+    assert_eq!(sides().1, 1);
+    std::fs::write(&body, half(false, 255)).unwrap();
+    ended().expect(0);
+    let ([left, right], versions) = sides();
+    assert!(left == 0 && right > 0, "{left} and {right}");
+    assert_eq!(versions, 2);
+
+    // The plan as composed names the file, and nobody reads what changed pixel by pixel.
+    let explain = ["explain", text(&plan), "--manifest", text(&manifest)];
+    let composed = evermap(&explain).expect(0).stdout;
+    assert!(composed.contains(text(&body)), "{composed}");
+    assert!(!composed.contains("hex"), "{composed}");
+    std::fs::write(&body, half(true, 255)).unwrap();
+    let more = [
+        "--sessions",
+        text(&log),
+        "--map",
+        text(&map),
+        "--format",
+        "json",
+    ];
+    let forecast = evermap(&[&explain[..], &more].concat()).expect(0).stdout;
+    assert!(
+        forecast.contains("body_masks.mask has changed"),
+        "{forecast}"
+    );
+
+    let refused = |at_once: bool, said: &str| {
+        let told = ended().expect(1).stderr;
+        assert!(told.contains(said), "{said}: {told}");
+        let place = format!("{}:3:12", text(&manifest));
+        assert_eq!(told.contains(&place), at_once, "{told}");
+        assert_eq!(sides().1, 2);
+    };
+    std::fs::write(&body, b"P5\n99999 99999\n255\n").unwrap();
+    refused(true, "/body.pgm: expected 1 to ");
+    std::fs::write(&body, "body").unwrap();
+    refused(2, "/body.pgm: expected a png or pgm with one value");
+    std::fs::remove_file(&body).unwrap();
+    refused(true, "expected a file for `front`, found nothing at ");
+    let pipe = std::process::Command::new("mkfifo").arg(&body).status();
+    assert!(pipe.unwrap().success());
+    refused(
+        2,
+        "expected a file for `front`, found a named pipe, and no file at ",
+    );
+    std::fs::remove_file(&body).unwrap();
+    std::fs::write(&body, b"P5\n2 1\n255\n\0\x01").unwrap();
+    refused(
+        false,
+        "expected a mask of camera `front` of 160 x 160 pixels",
+    );
+}

@@ -36,4 +36,4 @@ pub use losses::{Loss, LossLedger, Reason};
 pub use manifest::{Manifest, Roles};
 pub use recordings::{Recording, Recordings};
 pub use session::{LogPart, Session};
-pub use stores::{LogFile, no_file, read_bytes, read_text, without_mark};
+pub use stores::{LogFile, no_file, read_at_most, read_bytes, read_text, without_mark};

@@ -151,6 +151,18 @@ pub fn without_mark(text: &str) -> &str {
 /// # Errors
 /// What keeps it from being read; that it is a pipe or a device, which might never end, or too large.
 pub fn read_bytes(path: &FilePath) -> std::io::Result<Vec<u8>> {
+    let mut bytes = read_at_most(path, LARGEST_TEXT)?;
+    if bytes.starts_with(BYTE_ORDER_MARK.as_bytes()) {
+        bytes.drain(..BYTE_ORDER_MARK.len());
+    }
+    Ok(bytes)
+}
+
+/// A file that a person names, whole, of at most so many bytes.
+///
+/// # Errors
+/// As [`read_bytes`].
+pub fn read_at_most(path: &FilePath, largest: u64) -> std::io::Result<Vec<u8>> {
     let found = std::fs::metadata(path).map_err(|error| match error.kind() {
         kind @ std::io::ErrorKind::NotFound => std::io::Error::new(kind, "nothing"),
         _ => error,
@@ -160,15 +172,12 @@ pub fn read_bytes(path: &FilePath) -> std::io::Result<Vec<u8>> {
         return Err(std::io::Error::other(format!("{kind}, and no file")));
     }
     let mut bytes = Vec::new();
-    let mut file = std::fs::File::open(path)?.take(LARGEST_TEXT + 1);
-    if file.read_to_end(&mut bytes)? as u64 > LARGEST_TEXT {
-        let most = LARGEST_TEXT >> 20;
+    let mut file = std::fs::File::open(path)?.take(largest + 1);
+    if file.read_to_end(&mut bytes)? as u64 > largest {
+        let most = largest >> 20;
         return Err(std::io::Error::other(format!(
             "a file of more than {most} MiB"
         )));
-    }
-    if bytes.starts_with(BYTE_ORDER_MARK.as_bytes()) {
-        bytes.drain(..BYTE_ORDER_MARK.len());
     }
     Ok(bytes)
 }

@@ -17,6 +17,7 @@
 //! Operators are written with [`Work`]'s constructors; engines run them as [`Job`]s.
 
 mod emit;
+mod file;
 mod fold;
 mod job;
 mod kernel;
@@ -34,6 +35,7 @@ mod table;
 mod work;
 
 pub use emit::{Emit, Losses};
+pub use file::GivenFile;
 pub use fold::{Fold, StateRow};
 pub use job::{Driving, Job, Phase, Worker};
 pub use operator::{NothingToChoose, Operator};

@@ -554,6 +554,8 @@ fn a_doubted_metric_map_shows_itself() {
         "Residuals",
         "Loop closures",
         "Localisation",
+        "What holds the map up",
+        "<td class=\"n\">230</td><td class=\"n\">200</td><td class=\"n\">30</td>",
         "unnest(observations)",
         "1 loops rejected",
         "201 landmarks",

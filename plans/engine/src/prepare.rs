@@ -11,12 +11,12 @@ use datafusion::execution::runtime_env::RuntimeEnv;
 use evermap_contract::Registry;
 use evermap_datasets::manifest::Vehicle;
 use evermap_datasets::{Dataset, Manifest, Reason, Recordings};
-use evermap_language::{Plan, PlanFaults, Source};
+use evermap_language::{Body, Plan, PlanFaults, Source};
 use evermap_schemas::Fault;
 
 use self::given::{coming, joining, overwritten};
-use self::host::Surroundings;
 pub use self::host::vocabulary;
+use self::host::{Surroundings, by_path};
 pub use self::manifest::located;
 use self::manifest::{beside, seen_from_plan};
 use self::vehicle::Vehicles;
@@ -76,7 +76,7 @@ pub fn parse(plan: &PlanText, registry: &Registry) -> Result<Plan, PlanFaults> {
 }
 
 /// As [`parse`], for a plan that is shown: what plans that it extends name by a path of theirs is named by a path of its
-/// own, so that the text is that of the same plan.
+/// own, and files that were read by their paths, so that the text is that of the same plan.
 ///
 /// # Errors
 /// All its faults.
@@ -84,6 +84,11 @@ pub fn composed(plan: &PlanText, registry: &Registry) -> Result<Plan, PlanFaults
     let mut composed = parse(plan, registry)?;
     let own = &plan.source.origin;
     composed.sessions = composed.sessions.map(|named| seen_from_plan(named, own));
+    for step in &mut composed.steps {
+        if let Body::Op { params, .. } = &mut step.body {
+            by_path(params);
+        }
+    }
     Ok(composed)
 }
 

@@ -7,8 +7,8 @@
 //!
 //! This crate knows no operator, no table, no SQL and no file: a [`Vocabulary`] describes
 //! operators (ports, parameters as JSON Schema) and sources, and a [`Host`] is asked which
-//! tables a query names, what is wrong with parameters, and for the text of a plan that
-//! another extends or of a file of Python that a step names. It depends on neither DataFusion nor Arrow.
+//! tables a query names, what is wrong with parameters, for the text of a plan that another
+//! extends or of a file of Python that a step names, and for files that parameters name. It depends on neither DataFusion nor Arrow.
 //!
 //! ```
 //! use evermap_language::{Host, ParameterFault, QueryFault, Source, Vocabulary, parse};

@@ -25,7 +25,8 @@ pub struct OperatorSpec {
     /// Its inputs, in the operator's order.
     pub ports: Vec<PortSpec>,
     /// JSON Schema of its parameters, an object with `properties`, as schemars derives it. The
-    /// object's `description` is shown by editors as the operator's.
+    /// object's `description` is shown by editors as the operator's. A parameter whose schema says
+    /// `"x-files": true` is a mapping; an entry of it that is text is the path of a file.
     pub params: Value,
 }
 
@@ -87,6 +88,16 @@ pub trait Host {
         Err(format!("{path} is not read here"))
     }
 
+    /// What a parameter is given in the place of the path of a file, which is relative to the origin of the text that
+    /// names it; of an option, `named_by` is empty.
+    ///
+    /// # Errors
+    /// What was found in the place of a file that can be read, and where.
+    fn file(&self, path: &str, named_by: &str) -> Result<Value, String> {
+        let _ = named_by;
+        Err(format!("{path}, which is not read here"))
+    }
+
     /// The session manifest whose `defaults` are laid over those of the plan.
     fn manifest(&self) -> Option<Source> {
         None
@@ -132,6 +143,12 @@ impl OperatorSpec {
     #[must_use]
     pub fn port(&self, name: &str) -> Option<&PortSpec> {
         self.ports.iter().find(|port| port.name == name)
+    }
+
+    /// Whether entries of a parameter may be paths of files.
+    pub(crate) fn takes_files(&self, parameter: &str) -> bool {
+        let property = self.params["properties"].get(parameter);
+        property.is_some_and(|property| property["x-files"] == true)
     }
 
     /// The names of its parameters.

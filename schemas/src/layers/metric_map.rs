@@ -36,7 +36,7 @@ record! {
         width: u32 ["px"],
         /// Height of its images.
         height: u32 ["px"],
-        /// Images that were compared; too few show nothing.
+        /// Images that were compared; too few show nothing. 0 where somebody gave a mask instead.
         images: u32,
         /// Share of the image that shows the vehicle.
         share: f64,

@@ -14,6 +14,7 @@ pub(crate) mod frames;
 pub(crate) mod graphs;
 pub mod labels;
 pub(crate) mod lenses;
+pub mod masks;
 pub(crate) mod outside;
 pub mod painting;
 pub(crate) mod people;

@@ -10,6 +10,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::inputs::bodies::bodies;
+use crate::inputs::masks::{Drawn, Masks};
 use crate::inputs::pixels::{left_out, undecoded};
 use crate::inputs::rig::frame;
 
@@ -23,9 +24,9 @@ pub struct FeaturesParams {
     /// In the image.
     #[serde(flatten)]
     pub wanted: FeatureParams,
-    /// Where no features are wanted, by camera: polygons of `[u, v]` in the full image (px), such as the own body's
-    /// outline. The camera `*` stands for all that are not named.
-    pub mask: BTreeMap<String, Blind>,
+    /// Where images show the vehicle.
+    #[serde(flatten)]
+    pub masks: Masks,
 }
 
 impl Operator for Features {
@@ -34,6 +35,10 @@ impl Operator for Features {
     const PAGE: &'static str = include_str!("features.md");
     type Params = FeaturesParams;
     type Output = FeaturesRow;
+
+    fn check(params: &Self::Params) -> Result<(), Fault> {
+        params.masks.check()
+    }
 
     fn work() -> Work<Self::Params> {
         let images = Port::session::<FrameImage>("images").pixels("image");
@@ -45,30 +50,23 @@ impl Operator for Features {
 struct Finder {
     detectors: Detectors,
     wanted: FeatureParams,
-    /// By camera.
-    drawn: BTreeMap<String, Blind>,
-    /// By session and camera.
-    learnt: BTreeMap<(String, String), Blind>,
+    drawn: Drawn,
+    /// Of `body_masks`, by session and camera.
+    bodies: BTreeMap<(String, String), Blind>,
 }
 
 impl Finder {
     fn new(params: &FeaturesParams, sides: &Sides) -> Result<Self, Fault> {
-        let drawn = params.mask.iter();
-        let drawn: BTreeMap<String, Blind> = drawn
-            .map(|(camera, blind)| (frame(camera).to_owned(), blind.clone()))
-            .collect();
-        let learnt = bodies(sides)?.into_iter().map(|((session, camera), body)| {
-            let polygons = blind(&drawn, &camera).map(|drawn| drawn.polygons.clone());
-            let both = Blind {
-                polygons: polygons.unwrap_or_default(),
-                mask: Some(body),
-            };
-            ((session, camera), both)
+        let drawn = Drawn::new(&params.masks);
+        let bodies = bodies(sides)?.into_iter().map(|((session, camera), body)| {
+            let mut blind = drawn.of(&camera).cloned().unwrap_or_default();
+            blind.mask.get_or_insert(body);
+            ((session, camera), blind)
         });
         Ok(Self {
             detectors: Detectors::default(),
             wanted: params.wanted,
-            learnt: learnt.collect(),
+            bodies: bodies.collect(),
             drawn,
         })
     }
@@ -81,12 +79,16 @@ impl Finder {
     ) -> Result<Option<FeaturesRow>, Reason> {
         let undecoded = || undecoded(&image.camera, &image.image.format);
         decode_grey(bytes, grey).map_err(|error| left_out(&error, undecoded()))?;
-        let camera = frame(&image.camera);
-        let named = (image.session.clone(), camera.to_owned());
-        let fits = |mask: &Grey| (mask.width, mask.height) == (grey.width, grey.height);
-        let learnt = self.learnt.get(&named);
-        let learnt = learnt.filter(|blind| blind.mask.as_ref().is_some_and(fits));
-        let blind = learnt.or_else(|| blind(&self.drawn, camera));
+        let named = (image.session.clone(), frame(&image.camera).to_owned());
+        let fits = |blind: &&Blind| {
+            let mask = blind.mask.as_ref();
+            mask.is_none_or(|mask| (mask.width, mask.height) == (grey.width, grey.height))
+        };
+        let body = self.bodies.get(&named).filter(fits);
+        let blind = body.or_else(|| self.drawn.of(&image.camera));
+        if blind.is_some_and(|blind| !fits(&blind)) {
+            return Err("image has another size than the mask of its camera".into());
+        }
         let everywhere = Blind::default();
         let blind = blind.unwrap_or(&everywhere);
         let found = self.detectors.features(grey, &self.wanted, blind);
@@ -105,9 +107,4 @@ impl Finder {
             descriptors: Bytes(found.descriptors),
         }))
     }
-}
-
-/// What is drawn for a camera.
-fn blind<'a>(drawn: &'a BTreeMap<String, Blind>, camera: &str) -> Option<&'a Blind> {
-    drawn.get(camera).or_else(|| drawn.get("*"))
 }

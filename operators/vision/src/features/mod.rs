@@ -18,7 +18,8 @@ pub use vignette::Vignette;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::Grey;
+use crate::grey::checked_pixels;
+use crate::{Grey, ImageError};
 
 /// Bytes of a BRISK descriptor.
 pub const DESCRIPTOR_BYTES: usize = 64;
@@ -101,13 +102,11 @@ impl KeyPoints {
 
 /// Where a feature must not lie, in the full image's pixels: polygons, such as the outline of the vehicle's own body, and a
 /// mask.
-#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
-#[serde(transparent)]
+#[derive(Debug, Clone, Default, PartialEq)]
 pub struct Blind {
     /// Each a ring of `[u, v]`; fewer than three corners cover nothing.
     pub polygons: Vec<Vec<[f64; 2]>>,
     /// An image of the same size, not 0 where no feature may lie.
-    #[serde(skip)]
     pub mask: Option<Grey>,
 }
 
@@ -118,14 +117,61 @@ impl Blind {
         self.polygons.iter().any(|ring| inside(ring, pixel))
             || self.mask.as_ref().is_some_and(masked)
     }
+
+    /// An image of this size, 255 at each pixel that it [covers](Blind::covers) and 0 elsewhere; a mask of another size
+    /// covers nothing.
+    ///
+    /// # Errors
+    /// [`ImageError::Size`] for an image without pixels, or with too many.
+    pub fn painted(&self, width: u32, height: u32) -> Result<Grey, ImageError> {
+        let pixels = checked_pixels(width, height)?;
+        let mask = self
+            .mask
+            .as_ref()
+            .filter(|mask| (mask.width, mask.height) == (width, height));
+        let data = mask.map_or_else(
+            || vec![0; pixels],
+            |mask| {
+                let covered = mask
+                    .data
+                    .iter()
+                    .map(|value| if *value > 0 { u8::MAX } else { 0 });
+                covered.collect()
+            },
+        );
+        let mut painted = Grey {
+            width,
+            height,
+            data,
+        };
+        for ring in &self.polygons {
+            for (row, line) in painted.data.chunks_exact_mut(width as usize).enumerate() {
+                let mut at: Vec<f64> = crossings(ring, row as f64).collect();
+                at.sort_by(f64::total_cmp);
+                // Numbers below zero, or beyond the image, become its ends.
+                let ends = |u: &f64| (u.ceil() as usize).min(width as usize);
+                for pair in at.as_chunks::<2>().0 {
+                    let [begin, end] = [ends(&pair[0]), ends(&pair[1])];
+                    if let Some(covered) = line.get_mut(begin..end) {
+                        covered.fill(u8::MAX);
+                    }
+                }
+            }
+        }
+        Ok(painted)
+    }
 }
 
 fn inside(ring: &[[f64; 2]], [u, v]: [f64; 2]) -> bool {
+    crossings(ring, v).filter(|crossing| u < *crossing).count() % 2 == 1
+}
+
+/// Where a ring crosses a row: an even number of times.
+fn crossings(ring: &[[f64; 2]], v: f64) -> impl Iterator<Item = f64> {
     let before = ring.iter().cycle().skip(ring.len().saturating_sub(1));
-    let crossed = ring.iter().zip(before).filter(|(a, b)| {
-        (a[1] > v) != (b[1] > v) && u < a[0] + (v - a[1]) / (b[1] - a[1]) * (b[0] - a[0])
-    });
-    crossed.count() % 2 == 1
+    let sides = ring.iter().zip(before);
+    let crossed = sides.filter(move |(a, b)| (a[1] > v) != (b[1] > v));
+    crossed.map(move |(a, b)| a[0] + (v - a[1]) / (b[1] - a[1]) * (b[0] - a[0]))
 }
 
 #[cfg(test)]

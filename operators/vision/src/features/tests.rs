@@ -114,6 +114,38 @@ fn blind_polygons_and_the_outside_of_the_image_circle_stay_empty() {
     }
 }
 
+#[test]
+fn what_is_painted_is_what_is_covered() {
+    let rings = vec![
+        vec![[-3.0, 2.0], [20.0, 2.0], [9.5, 14.0], [4.0, 3.0]],
+        vec![[12.0, 8.0], [30.0, 8.0], [30.0, 40.0], [12.0, 40.0]],
+        vec![[1.0, 1.0], [2.0, 2.0]],
+        vec![[-1e308, 5.0], [1e308, 6.5], [1e308, -1e308]],
+    ];
+    let dots = (0..24 * 18).map(|at| u8::from(at % 7 == 0)).collect();
+    let mask = Grey {
+        width: 24,
+        height: 18,
+        data: dots,
+    };
+    let image = |blind: &Blind| blind.painted(24, 18).unwrap().data;
+    for polygons in [&rings[..3], &rings[..0]] {
+        let blind = Blind {
+            polygons: polygons.to_vec(),
+            mask: Some(mask.clone()),
+        };
+        let covers = |at: u32| blind.covers([f64::from(at % 24), f64::from(at / 24)]);
+        let covered = (0..24 * 18).map(|at| if covers(at) { 255 } else { 0 });
+        assert_eq!(image(&blind), covered.collect::<Vec<u8>>());
+    }
+    let blind = Blind {
+        polygons: rings,
+        mask: Some(Grey::default()),
+    };
+    assert!(image(&blind).contains(&255));
+    assert!(blind.painted(0, 18).is_err() && blind.painted(u32::MAX, 18).is_err());
+}
+
 /// A point found in the shrunk image lies where the full image has it.
 #[test]
 fn coordinates_are_those_of_the_full_image() {

@@ -6,33 +6,38 @@ use evermap_schemas::Fault;
 
 use crate::reader::MapReader;
 
-/// What is asked: the layer that it needs, what it is about, the query.
-pub type Question = (&'static str, &'static str, &'static str);
+/// What is asked: the layers that it needs, what it is about, the query.
+pub type Question = (&'static [&'static str], &'static str, &'static str);
 
 /// What a person who doubts a metric map asks.
-pub const OF_METRIC_MAPS: [Question; 5] = [
+pub const OF_METRIC_MAPS: [Question; 6] = [
     (
-        "adjusted_poses",
+        &["adjusted_poses"],
         "Residuals",
         include_str!("queries/residuals.sql"),
     ),
     (
-        "adjusted_poses",
+        &["adjusted_poses"],
         "Landmarks in view",
         include_str!("queries/inliers.sql"),
     ),
     (
-        "graph_poses",
+        &["adjusted_poses", "frame_poses"],
+        "What holds the map up",
+        include_str!("queries/holding.sql"),
+    ),
+    (
+        &["graph_poses"],
         "Loop closures",
         include_str!("queries/loops.sql"),
     ),
     (
-        "localisations",
+        &["localisations"],
         "Localisation",
         include_str!("queries/localisations.sql"),
     ),
     (
-        "landmarks",
+        &["landmarks"],
         "Landmarks",
         include_str!("queries/landmarks.sql"),
     ),
@@ -41,17 +46,17 @@ pub const OF_METRIC_MAPS: [Question; 5] = [
 /// What a person who doubts a semantic map asks.
 pub const OF_SEMANTIC_MAPS: [Question; 3] = [
     (
-        "views",
+        &["views"],
         "What the views show",
         include_str!("queries/content.sql"),
     ),
     (
-        "relations",
+        &["relations"],
         "How classes relate",
         include_str!("queries/relations.sql"),
     ),
     (
-        "relocations",
+        &["relocations"],
         "Relocation",
         include_str!("queries/relocations.sql"),
     ),
@@ -85,10 +90,10 @@ impl Answer {
 pub async fn answers(reader: &MapReader, questions: &[Question]) -> Result<Vec<Answer>, Fault> {
     let map = &reader.map;
     let mut answers = Vec::new();
-    for &(layer, title, query) in questions {
+    for &(layers, title, query) in questions {
         // Nothing comes before the first version: there, everything is lost.
-        let first = layer == "localisations" && map.version.previous.version == 0;
-        if first || !map.has(layer) {
+        let first = layers == ["localisations"] && map.version.previous.version == 0;
+        if first || !layers.iter().all(|layer| map.has(layer)) {
             continue;
         }
         let batches = reader

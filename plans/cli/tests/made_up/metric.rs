@@ -2,8 +2,8 @@
 //! third keyframe sees, one good loop closure and one bad one, and localisations of which some are lost.
 
 use evermap_schemas::layers::{
-    AdjustedPose, Features, GraphPose, Keyframe, Landmark, Localisation, LoopClosure, LoopEdge,
-    Observation, PlacedLabel, Sighting, Source, VehiclePose,
+    AdjustedPose, Features, FramePose, GraphPose, Keyframe, Landmark, Localisation, LoopClosure,
+    LoopEdge, Observation, PlacedLabel, Sighting, Source, VehiclePose,
 };
 use evermap_schemas::roles::{Calibration, Transform};
 use evermap_schemas::{Bytes, Pose, Stamp, Wkb};
@@ -119,6 +119,18 @@ pub fn adjusted_poses(poses: &[VehiclePose]) -> Vec<AdjustedPose> {
         }
     };
     (0..).zip(poses).map(row).collect()
+}
+
+pub fn frame_poses(poses: &[VehiclePose]) -> Vec<FramePose> {
+    let row = |pose: &VehiclePose| FramePose {
+        site: pose.site.clone(),
+        session: pose.session.clone(),
+        stamp: pose.stamp,
+        frame: 0,
+        frame_from_vehicle: pose.map_from_vehicle.clone(),
+        map_from_vehicle: pose.map_from_vehicle.clone(),
+    };
+    poses.iter().map(row).collect()
 }
 
 pub fn features(poses: &[VehiclePose]) -> Vec<Features> {

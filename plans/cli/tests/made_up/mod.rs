@@ -227,6 +227,16 @@ fn metric_layers(folder: &Path) -> BTreeMap<String, StoredLayer> {
                 metric::adjusted_poses(&path),
             ),
         ),
+        keep(
+            "frame_poses",
+            stored(
+                folder,
+                Some("frame_poses"),
+                None,
+                // Some more keyframes than hold the map up.
+                metric::frame_poses(&poses(name, 18.3, 230)),
+            ),
+        ),
         keep("poses", stored(folder, None, session, path.clone())),
         keep(
             "features",

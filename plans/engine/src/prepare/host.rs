@@ -4,12 +4,13 @@ use std::io::Read;
 use std::path::Path;
 
 use datafusion::error::DataFusionError;
-use evermap_contract::{ParamFault, Registry};
-use evermap_datasets::{Dataset, without_mark};
+use evermap_contract::{GivenFile, ParamFault, Registry};
+use evermap_datasets::{Dataset, read_at_most, without_mark};
 use evermap_language::{
     Host, OperatorSpec, ParameterFault, PortSpec, QueryFault, Source, Vocabulary,
 };
 use evermap_schemas::Fault;
+use serde::Deserialize;
 use serde_json::Value;
 
 use super::PlanText;
@@ -45,6 +46,9 @@ pub fn vocabulary(registry: &Registry) -> Vocabulary {
 /// The longest file of Python that is read (bytes).
 const LONGEST_CODE: u64 = 1 << 20;
 
+/// The largest file that a parameter names (bytes).
+const LARGEST_FILE: u64 = 32 << 20;
+
 fn query_fault(error: &DataFusionError) -> QueryFault {
     let Fault { message, next, .. } = fault_of(error);
     QueryFault {
@@ -53,6 +57,20 @@ fn query_fault(error: &DataFusionError) -> QueryFault {
             next => format!("{message}; {next}"),
         },
         at: place_in_query(error),
+    }
+}
+
+/// Names the files that parameters were given by their paths again.
+pub fn by_path(params: &mut Value) {
+    let params = params.as_object_mut().into_iter().flatten();
+    let entries = params.filter_map(|(_, value)| value.as_object_mut());
+    for (_, entry) in entries.flatten() {
+        if let Ok(given) = GivenFile::deserialize(&*entry) {
+            let path = std::path::absolute(&given.file);
+            *entry = path
+                .map_or(given.file, |path| path.display().to_string())
+                .into();
+        }
     }
 }
 
@@ -98,6 +116,17 @@ impl Host for Surroundings<'_> {
             )),
             false => Ok(without_mark(&code).to_owned()),
         }
+    }
+
+    fn file(&self, path: &str, named_by: &str) -> Result<Value, String> {
+        let folder = Path::new(named_by).parent().unwrap_or(Path::new(""));
+        let there = folder.join(path);
+        let failed = |error| format!("{error} at {}", there.display());
+        let given = GivenFile {
+            file: there.display().to_string(),
+            hex: read_at_most(&there, LARGEST_FILE).map_err(failed)?,
+        };
+        serde_json::to_value(given).map_err(|error| error.to_string())
     }
 
     fn manifest(&self) -> Option<Source> {

@@ -273,5 +273,12 @@ fn parameter_change(name: &str, then: &Value, now: &Value) -> String {
     let was = then
         .get(key)
         .map_or_else(|| "unset".to_owned(), ToString::to_string);
-    format!("{name}.{key} was {was}, is {value}")
+    let is = value.to_string();
+    match was.len().max(is.len()) > LONGEST_VALUE {
+        true => format!("{name}.{key} has changed"),
+        false => format!("{name}.{key} was {was}, is {is}"),
+    }
 }
+
+/// Longer values of parameters, such as images, are nothing to read (bytes).
+const LONGEST_VALUE: usize = 400;

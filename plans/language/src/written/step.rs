@@ -5,12 +5,12 @@ use std::collections::BTreeSet;
 use serde_json::{Map, Value};
 
 use super::{BODY_KEYS, Named, STEP_KEYS, StepContext, WrittenInput, WrittenStep, is_null, python};
-use crate::fault::PlanFaults;
+use crate::fault::{Place, PlanFaults};
 use crate::inside::Part;
 use crate::plan::Body;
 use crate::suggest::{listed, one_line, quoted};
 use crate::vocabulary::{Host, OperatorSpec, ParameterFault};
-use crate::yaml::{Entry, Fields};
+use crate::yaml::{Entry, Fields, Kind};
 
 pub(super) fn step(
     entry: &Entry,
@@ -185,7 +185,7 @@ fn parameters(
         .chain(given)
         .collect();
     let before = faults.error_count();
-    let params = Value::Object(sound_values(entries.iter().copied(), faults));
+    let params = values(spec, &entries, context.around.host, faults);
     for fault in context.around.host.parameter_faults(&spec.name, &params) {
         match entries.iter().find(|entry| entry.key == fault.parameter) {
             None => faults.error(with.unwrap_or(op).value.place, fault.message),
@@ -202,10 +202,50 @@ pub(crate) fn check_alone(
     host: &dyn Host,
     faults: &mut PlanFaults,
 ) {
-    let params = Value::Object(sound_values(entries.iter().copied(), faults));
+    let params = values(spec, entries, host, faults);
     for fault in host.parameter_faults(&spec.name, &params) {
         if let Some(entry) = entries.iter().find(|entry| entry.key == fault.parameter) {
             misfit(spec, entry, fault, faults);
+        }
+    }
+}
+
+/// The values of parameters, with files in the place of their paths.
+fn values(
+    spec: &OperatorSpec,
+    entries: &[&Entry],
+    host: &dyn Host,
+    faults: &mut PlanFaults,
+) -> Value {
+    let mut values = sound_values(entries.iter().copied(), faults);
+    for entry in entries.iter().filter(|entry| spec.takes_files(&entry.key)) {
+        if let (Kind::Mapping(named), Some(Value::Object(files))) =
+            (&entry.value.kind, values.get_mut(&entry.key))
+        {
+            named
+                .iter()
+                .for_each(|named| read(named, files, host, faults));
+        }
+    }
+    Value::Object(values)
+}
+
+/// Puts a file in the place of its path; nothing, where it cannot be read.
+fn read(named: &Entry, files: &mut Map<String, Value>, host: &dyn Host, faults: &mut PlanFaults) {
+    let Kind::Text(path) = &named.value.kind else {
+        return;
+    };
+    let place = named.value.place;
+    let named_by = match place {
+        Place::Text(_) => faults.origin(place),
+        Place::Setting(_) => "",
+    };
+    match host.file(path, named_by) {
+        Ok(file) => drop(files.insert(named.key.clone(), file)),
+        Err(found) => {
+            files.remove(&named.key);
+            let message = format!("expected a file for {}, found {found}", quoted(&named.key));
+            faults.error(place, one_line(&message));
         }
     }
 }
