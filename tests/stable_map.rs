@@ -651,7 +651,7 @@ fn noisy_labels_do_not_mislead_registration() {
     let map = registered(street, folder.path(), "/panorama/labels_noisy");
     check_registrations(street, &map, "a simulated street, noisy labels");
     // Of a map that is not asked what is behind cars, nothing is drawn.
-    let told = drawn(&map, &folder.path().join("stable.png"), 2).stderr;
+    let told = drawn(&map, &folder.path().join("stable.png"), 1).stderr;
     assert!(
         told.contains("the map has no warped_labels of street"),
         "{told}"
