@@ -15,7 +15,7 @@ use evermap_algorithms::semantic_map::stable::occlusion::{Model, Occlusion};
 use evermap_tests::park::made_once;
 use evermap_tests::trajectories::{rows, truth};
 use evermap_tests::turned::turned;
-use evermap_tests::{rows_of_log, run_of_site, shared, simulate, text};
+use evermap_tests::{Finished, evermap, rows_of_log, run_of_site, shared, simulate, text};
 use nalgebra::{UnitQuaternion, Vector3};
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -214,6 +214,7 @@ fn image(hex: &Value) -> Vec<u8> {
 
 /// A view of the first visit: labels as given, with what others saw, as they are by the plan, and without cars in truth.
 struct View {
+    stamp: i64,
     before: Vec<u8>,
     warped: Vec<u8>,
     stable: Vec<u8>,
@@ -226,7 +227,7 @@ struct View {
 
 fn views(world: &Path, map: &Path) -> Vec<View> {
     let query = "SELECT encode(l.png, 'hex') AS before, encode(w.png, 'hex') AS warped, encode(i.png, 'hex') AS stable, \
-                 encode(i.certainty, 'hex') AS certainty, i.unknown_px, \
+                 encode(i.certainty, 'hex') AS certainty, i.unknown_px, CAST(l.stamp AS BIGINT) AS at, \
                  w.occlusions, w.width, w.height, w.classes \
                  FROM label_images l JOIN warped_labels w ON l.session = w.session AND l.stamp = w.stamp \
                  JOIN inferred_labels i ON l.session = i.session AND l.stamp = i.stamp \
@@ -245,6 +246,7 @@ fn views(world: &Path, map: &Path) -> Vec<View> {
         let unknown = stable.iter().filter(|label| **label == VOID).count() as u64;
         assert_eq!(row["unknown_px"], unknown, "of view {number}");
         View {
+            stamp: row["at"].as_i64().unwrap(),
             before: image(&row["before"]),
             warped: image(&row["warped"]),
             stable,
@@ -521,6 +523,100 @@ fn check_labels(world: &Path, map: &Path, name: &str, least: &Least) {
     assert!(areas["low"].as_f64().unwrap() > 0.0 && areas["high"].as_f64().unwrap() <= 1.0);
 }
 
+/// The map, drawn as its stable labels.
+fn drawn(map: &Path, out: &Path, code: i32) -> Finished {
+    let line = ["render", "--map", text(map), "--view", "stable", "--out"];
+    evermap(&[&line[..], &[text(out)]].concat()).expect(code)
+}
+
+fn percent(part: usize, whole: usize) -> String {
+    format!("{:.1} %", 100.0 * part as f64 / whole as f64)
+}
+
+/// Beside each view's image, a picture says what became of what was labelled as a car, and how that compares with the truth;
+/// and a report shows the picture with the model's table.
+fn check_pictures(world: &Path, map: &Path, folder: &Path) {
+    let out = folder.join("stable.svg");
+    drawn(map, &out, 0);
+    let picture = std::fs::read_to_string(&out).unwrap();
+    let mut compared = 0;
+    for view in views(world, map) {
+        let Some((_, row)) = picture.split_once(&format!("/{}</title>", view.stamp)) else {
+            continue;
+        };
+        compared += 1;
+        let car = view
+            .classes
+            .iter()
+            .position(|class| class == "car")
+            .unwrap() as u8;
+        let pixels = (0..view.before.len()).filter(|at| view.before[*at] == car);
+        let moving = pixels.clone().count();
+        let is_said = |at: &usize| view.stable[*at] != VOID;
+        let right = |sure: &dyn Fn(u8) -> bool| {
+            let said = pixels.clone().filter(is_said);
+            let said = said.filter(|at| sure(view.certainty[*at]));
+            let right = said
+                .clone()
+                .filter(|at| view.stable[*at] == view.truth[*at]);
+            (said.clone().count(), right.count())
+        };
+        let ((seen, seen_right), (inferred, inferred_right)) =
+            (right(&|sure| sure == 255), right(&|sure| sure < 255));
+        assert!(seen > 0 && inferred > 0);
+        let shares = [
+            (moving, view.before.len()),
+            (seen, moving),
+            (inferred, moving),
+        ];
+        let [moves, was_seen, was_inferred] = shares.map(|(part, whole)| percent(part, whole));
+        for title in [
+            "<title>image<".to_owned(),
+            format!("<title>before: {moves} moves<"),
+            format!("<title>warped: {was_seen} of that seen, "),
+            format!("<title>inferred: {was_inferred} of that, "),
+            format!(
+                "<title>stable: {} of that",
+                percent(moving - seen - inferred, moving)
+            ),
+            format!(
+                "<title>truth: {} of seen right, {} of inferred<",
+                percent(seen_right, seen),
+                percent(inferred_right, inferred)
+            ),
+        ] {
+            // Of this view, whose panels come next.
+            let at = row.find(&title).expect(&title);
+            let before = row[..at].matches("data-panel=\"image\"").count();
+            assert_eq!(before, 1, "{title}");
+        }
+    }
+    assert!(compared > 0, "no view of the first visit is drawn");
+    let out = folder.join("stable.png");
+    drawn(map, &out, 0);
+    let png = png::Decoder::new(Cursor::new(std::fs::read(&out).unwrap()));
+    assert_eq!(png.read_info().unwrap().info().width, 1600);
+
+    let out = folder.join("report.html");
+    evermap(&["report", "--map", text(map), "--out", text(&out)]).expect(0);
+    let page = std::fs::read_to_string(&out).unwrap();
+    let (_, page) = page.split_once("<h2>Stable map</h2>").unwrap();
+    assert!(page.contains("data-panel=\"truth\"") && page.contains("<h3>Inferred areas</h3>"));
+    let query = "SELECT class, pixels, round(100 * probability, 1) AS percent, round(100 * deviation, 1) AS deviation \
+                 FROM occlusion_model WHERE dynamic = 'car'";
+    let model = rows(map, None, query);
+    assert!(model.len() > 3);
+    for row in model {
+        let [percent, deviation] = ["percent", "deviation"].map(|name| row[name].as_f64().unwrap());
+        let (class, pixels) = (row["class"].as_str().unwrap(), &row["pixels"]);
+        let cells = format!(
+            "<td>car</td><td>{class}</td><td class=\"n\">{pixels}</td><td class=\"n\">{percent:?}</td>\
+             <td class=\"n\">{deviation:?}</td>"
+        );
+        assert!(page.contains(&cells), "{cells}");
+    }
+}
+
 #[test]
 fn a_street_without_its_cars() {
     let Some(world) = shared("worlds/street_small") else {
@@ -535,6 +631,7 @@ fn a_street_without_its_cars() {
         right_of_class: 0.96,
     };
     check_labels(&world, &map, "street_small", &least);
+    check_pictures(&world, &map, folder.path());
 }
 
 /// A simulated street, which the tests share.
@@ -553,6 +650,17 @@ fn noisy_labels_do_not_mislead_registration() {
     let street = simulated();
     let map = registered(street, folder.path(), "/panorama/labels_noisy");
     check_registrations(street, &map, "a simulated street, noisy labels");
+    // Of a map that is not asked what is behind cars, nothing is drawn.
+    let told = drawn(&map, &folder.path().join("stable.png"), 1).stderr;
+    assert!(
+        told.contains("the map has no warped_labels of street"),
+        "{told}"
+    );
+    assert!(told.contains("map it with the plan stable_map"), "{told}");
+    let out = folder.path().join("report.html");
+    evermap(&["report", "--map", text(&map), "--out", text(&out)]).expect(0);
+    let page = std::fs::read_to_string(&out).unwrap();
+    assert!(page.contains("Semantic map") && !page.contains("Stable map"));
 }
 
 /// One visit alone: driving past cars shows what they hide. None of the limits was chosen on this street. The little sky that
@@ -570,6 +678,7 @@ fn another_street_without_its_cars() {
         right_of_class: 0.85,
     };
     check_labels(&street, &map, "a simulated street", &least);
+    check_pictures(&street, &map, folder.path());
 }
 
 /// Little but the ground is in range, so that range fits metres away too; labels are noisy, and every view of the second
@@ -624,4 +733,17 @@ fn views_without_range_are_counted() {
     // Nothing is known of what is behind cars, and nothing is made up: no car is left in the graphs.
     assert_eq!(count("stable_views"), count("views"));
     assert_eq!(count("stable_views WHERE contains(graph, 'car')"), 0);
+    // Nor is there a camera image, which is said.
+    let out = folder.path().join("stable.svg");
+    drawn(&map, &out, 0);
+    let picture = std::fs::read_to_string(&out).unwrap();
+    for title in [
+        "no image: its log is gone, or has none",
+        "inferred: nothing",
+    ] {
+        assert!(
+            picture.contains(&format!("<title>{title}</title>")),
+            "{title}"
+        );
+    }
 }

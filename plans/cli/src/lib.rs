@@ -49,7 +49,9 @@ pub mod semantic;
 pub mod serve;
 mod sessions;
 pub mod shipped;
+mod shots;
 pub mod shown;
+mod stable;
 mod stopped;
 mod threads;
 

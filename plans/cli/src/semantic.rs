@@ -2,17 +2,12 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use evermap_datasets::ImageReader;
-use evermap_engine::map::Map;
-use evermap_engine::quoted;
-use evermap_engine::sql::{Limits, context};
 use evermap_schemas::layers::{LabelImage, Relocation, SemanticGraph, View};
-use evermap_schemas::{Cell, Fault, ImageRef, Stamp};
+use evermap_schemas::{Fault, Stamp};
 
-use crate::reader::{MapReader, answered, typed};
-
-/// Views that a picture shows.
-const VIEWS: usize = 3;
+use crate::reader::MapReader;
+use crate::shots::{image, row, spread};
+use crate::shown::Shot;
 
 /// One view.
 #[derive(Debug, Clone, PartialEq)]
@@ -62,10 +57,16 @@ pub async fn semantic_map(reader: &MapReader, site: &str) -> Result<Option<Seman
     }
     views.sort_by(|a, b| (&a.session, a.stamp, &a.camera).cmp(&(&b.session, b.stamp, &b.camera)));
     let mut found = SemanticMap::default();
-    for view in spread(views, VIEWS) {
+    for view in spread(views) {
+        let shot = Shot {
+            site: view.site,
+            session: view.session,
+            stamp: view.stamp,
+            camera: view.camera,
+        };
         found.views.push(PicturedView {
-            image: image(&reader.map, &view).await,
-            labels: labels(reader, &view).await?,
+            image: image(&reader.map, &shot).await,
+            labels: row::<LabelImage>(reader, &shot).await?,
             view: view.view,
             graph: view.graph,
         });
@@ -80,33 +81,6 @@ pub async fn semantic_map(reader: &MapReader, site: &str) -> Result<Option<Seman
 /// As [`MapReader::rows`].
 pub async fn similarities(reader: &MapReader, site: &str) -> Result<Option<Similarities>, Fault> {
     Ok(matrix(&reader.rows(Some(site)).await?))
-}
-
-/// The label image of a view; `None` where the map has none.
-async fn labels(reader: &MapReader, view: &View) -> Result<Option<LabelImage>, Fault> {
-    let Some(layer) = reader.layer_of::<LabelImage>() else {
-        return Ok(None);
-    };
-    let query = format!(
-        "SELECT * FROM {} WHERE {}",
-        quoted::name(&layer),
-        of_view(view)
-    );
-    let found = typed(&reader.ask(&query).await?)?;
-    Ok(found.into_iter().next())
-}
-
-/// The condition for the rows of a view.
-fn of_view(view: &View) -> String {
-    let [session, camera] = [&view.session, &view.camera].map(|name| quoted::text(name));
-    let stamp = view.stamp.0;
-    format!("session = {session} AND camera = {camera} AND CAST(stamp AS BIGINT) = {stamp}")
-}
-
-/// At most so many of a list, the same distance apart.
-fn spread<T>(list: Vec<T>, most: usize) -> impl Iterator<Item = T> {
-    let step = list.len().div_ceil(most.max(1)).max(1);
-    list.into_iter().skip(step / 2).step_by(step)
 }
 
 /// Classes in the order of the label images, then those that only graphs name.
@@ -170,34 +144,6 @@ fn numbered(names: impl Iterator<Item = ViewKey>) -> BTreeMap<ViewKey, usize> {
     names.into_iter().zip(0..).collect()
 }
 
-/// The view's image from its log, if that is still where it was.
-async fn image(map: &Map, view: &View) -> Option<Vec<u8>> {
-    match fetched(map, view).await {
-        Ok(image) => image,
-        Err(fault) => {
-            tracing::info!(%fault, view = view.view, "drawn without its image");
-            None
-        }
-    }
-}
-
-async fn fetched(map: &Map, view: &View) -> Result<Option<Vec<u8>>, Fault> {
-    let context = context(Limits::default())?;
-    let Some(dataset) = map.log(&view.session, &context.runtime_env()).await? else {
-        return Ok(None);
-    };
-    dataset.register(&context)?;
-    let query = format!("SELECT image FROM frames WHERE {}", of_view(view));
-    let batches = answered(&context, &query).await?;
-    let Some(batch) = batches.iter().find(|batch| batch.num_rows() > 0) else {
-        return Ok(None);
-    };
-    let images = ImageRef::decode(batch.column(0))?;
-    let reader = ImageReader::new(&dataset, ImageReader::CACHE_BYTES);
-    let mut bytes = reader.resolve(&images[..1]).await?;
-    Ok(bytes.pop().transpose()?.map(|bytes| bytes.to_vec()))
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -229,11 +175,5 @@ mod tests {
         assert_eq!((&*found.query_sessions, &*found.view_sessions), ("b", "a"));
         assert_eq!(found.values, [0.0, 0.5, 0.25, 0.0]);
         assert_eq!(matrix(&[]), None);
-    }
-
-    #[test]
-    fn a_few_are_spread_over_all() {
-        assert_eq!(spread((0..9).collect(), 3).collect::<Vec<_>>(), [1, 4, 7]);
-        assert_eq!(spread(vec![5], 3).collect::<Vec<_>>(), [5]);
     }
 }

@@ -224,6 +224,21 @@ record! {
     }
 }
 
+record! {
+    /// A view, as far as it is told from others.
+    #[layer(layers::View::NAME, key(site, session, stamp, camera))]
+    pub struct Shot {
+        /// Site that was driven.
+        site: String,
+        /// Session that was driven.
+        session: String,
+        /// Exposure instant.
+        stamp: Stamp ["ns"],
+        /// Camera that took it.
+        camera: String,
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -231,7 +246,7 @@ mod tests {
 
     #[test]
     fn what_is_shown_is_in_the_layers() {
-        let pairs: [(Layer, Layer); 12] = [
+        let pairs: [(Layer, Layer); 14] = [
             (Tile::layer(), layers::OverheadTile::layer()),
             (Lane::layer(), layers::Lane::layer()),
             (Crossing::layer(), layers::Intersection::layer()),
@@ -244,6 +259,8 @@ mod tests {
             (DangerCell::layer(), layers::Danger::layer()),
             (LaneSpeed::layer(), layers::LaneSpeed::layer()),
             (PersonSeen::layer(), layers::PersonOnGround::layer()),
+            (Shot::layer(), layers::View::layer()),
+            (Shot::layer(), layers::WarpedLabels::layer()),
         ];
         for (shown, layer) in pairs {
             for column in shown.columns {

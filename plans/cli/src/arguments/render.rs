@@ -21,6 +21,8 @@ pub enum Shown {
     Views,
     /// How much each query of a relocation run looks like each view of the map.
     Similarities,
+    /// The stable map: labels before, with what others saw behind what moves, what is inferred, all of it, beside images.
+    Stable,
 }
 
 /// Arguments of `render`.

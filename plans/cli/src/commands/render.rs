@@ -1,10 +1,11 @@
 //! `evermap render`.
 
 use evermap_engine::map::version::Version;
-use evermap_schemas::Fault;
+use evermap_schemas::layers::WarpedLabels;
+use evermap_schemas::{Fault, LayerRow};
 
 use crate::arguments::{RenderArgs, Shown};
-use crate::draw::{Canvas, Picture, matrix, png, views};
+use crate::draw::{Canvas, Picture, matrix, png, stable, views};
 use crate::ending::{DONE, Ending};
 use crate::metric::metric_map;
 use crate::moved::{changes, placings};
@@ -13,6 +14,7 @@ use crate::progress::line;
 use crate::reader::MapReader;
 use crate::scene::{drawn, scene};
 use crate::semantic::{semantic_map, similarities};
+use crate::stable::{lacking, stable_map};
 
 /// Draws a map.
 ///
@@ -79,6 +81,14 @@ async fn picture(args: &RenderArgs, reader: &MapReader) -> Result<Picture, Fault
             let found = similarities(reader, site).await?;
             let found = found.ok_or_else(|| nothing("relocations", "relocate"))?;
             matrix(&found, args.width_px)
+        }
+        Shown::Stable => {
+            let found = stable_map(reader, site).await?;
+            let lacking = lacking(reader).unwrap_or(WarpedLabels::NAME);
+            stable(
+                &found.ok_or_else(|| nothing(lacking, "stable_map"))?,
+                args.width_px,
+            )
         }
     }
 }

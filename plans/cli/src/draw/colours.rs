@@ -69,3 +69,29 @@ const CLASSES: [&str; 12] = [
 pub fn class(index: usize) -> String {
     CLASSES[index % CLASSES.len()].to_owned()
 }
+
+/// The colour of a class by its name among all, as `#rrggbb`.
+pub fn class_of(name: &str, classes: &[String]) -> String {
+    let index = classes.iter().position(|known| known == name);
+    class(index.unwrap_or(usize::MAX - 1))
+}
+
+/// Red, green, blue and alpha of each value of an image with these classes, by their names among all; transparent where a
+/// value is no class.
+pub fn palette(named: &[String], classes: &[String]) -> [[u8; 4]; 256] {
+    let mut palette = [[0; 4]; 256];
+    for (entry, name) in palette.iter_mut().zip(named) {
+        *entry = rgba(&class_of(name, classes));
+    }
+    palette
+}
+
+/// A colour that is given as `#rrggbb`, opaque.
+pub fn rgba(colour: &str) -> [u8; 4] {
+    let [red, green, blue] = [1, 3, 5].map(|at| {
+        let hex = colour.get(at..at + 2);
+        hex.and_then(|hex| u8::from_str_radix(hex, 16).ok())
+            .unwrap_or(128)
+    });
+    [red, green, blue, 255]
+}

@@ -14,6 +14,7 @@
 
 mod changes;
 mod colours;
+mod legend;
 mod line;
 mod map;
 mod matrix;
@@ -22,6 +23,7 @@ mod pixels;
 mod placings;
 mod semantic;
 mod slowness;
+mod stable;
 mod strokes;
 mod trajectory;
 mod viewport;
@@ -38,6 +40,7 @@ pub use pixels::{decoded, encoded, is_in_colour, png};
 pub use placings::Placings;
 pub use semantic::views;
 pub use slowness::SlowCell;
+pub use stable::stable;
 pub use trajectory::Trajectory;
 use viewport::{Bounds, Viewport, bounds_of, union};
 

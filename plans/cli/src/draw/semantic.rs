@@ -5,22 +5,13 @@ use evermap_schemas::Fault;
 use evermap_schemas::layers::{LabelImage, SemanticArea, SemanticGraph};
 use png::ColorType;
 
+use crate::draw::legend::{Legend, NAME_PX};
 use crate::draw::pixels::{data_url, decoded, encoded};
 use crate::draw::{Picture, colours, strokes};
 use crate::semantic::{PicturedView, SemanticMap};
 
 /// Between panels, px.
 const GAP: u32 = 8;
-/// Height of a legend of one line, px.
-const LEGEND: u32 = 34;
-/// From one line of the legend to the next, px.
-const LINE: u32 = 18;
-/// Between the legend and the picture's edges, px.
-const MARGIN_PX: f64 = 11.0;
-/// From where a class begins in the legend to its name, px.
-const NAME_PX: f64 = strokes::LETTER_PX * 1.6;
-/// Between classes of the legend, px.
-const BETWEEN_PX: f64 = strokes::LETTER_PX * 2.0;
 
 /// A person's view of views: for each the image with its labels over it, and below the graph over the image.
 ///
@@ -28,7 +19,14 @@ const BETWEEN_PX: f64 = strokes::LETTER_PX * 2.0;
 /// A data fault for label images that do not decode.
 pub fn views(map: &SemanticMap) -> Result<Picture, Fault> {
     let widths = map.views.iter().map(|view| view.graph.width);
-    let mut picture = Views::legend(&map.classes, widths.max().unwrap_or(1));
+    let legend = Legend::of_classes(&map.classes, widths.max().unwrap_or(1));
+    let mut picture = Views {
+        width: legend.width,
+        height: legend.height,
+        views: Vec::new(),
+        classes: &map.classes,
+        legend,
+    };
     for view in &map.views {
         let panels = Panels::of(view, &map.classes, picture.height)?;
         picture.height = panels.below() + view.graph.height + GAP;
@@ -48,62 +46,12 @@ struct Views<'m> {
     height: u32,
     views: Vec<Panels<'m>>,
     classes: &'m [String],
-    legend: Vec<Named>,
-}
-
-/// A class in the legend.
-struct Named {
-    name: String,
-    colour: String,
-    /// Where it begins, px.
-    x: f64,
-    /// Its line.
-    line: u32,
-}
-
-impl Named {
-    fn y(&self) -> f64 {
-        12.5 + f64::from(self.line * LINE)
-    }
-}
-
-impl<'m> Views<'m> {
-    /// A picture of the legend alone, of at least this width: names side by side, in as many lines as they take.
-    fn legend(classes: &'m [String], width: u32) -> Self {
-        let names: Vec<_> = classes
-            .iter()
-            .map(|class| strokes::name(class, 20))
-            .collect();
-        let widths = names.iter().map(|name| NAME_PX + strokes::width(name));
-        let widest = widths.clone().fold(0.0, f64::max) + 2.0 * MARGIN_PX;
-        let width = width.max(widest.ceil() as u32);
-        let (mut x, mut line) = (MARGIN_PX, 0);
-        let mut legend = Vec::new();
-        for (index, (name, wide)) in names.iter().zip(widths).enumerate() {
-            if x > MARGIN_PX && x + wide > f64::from(width) - MARGIN_PX {
-                (x, line) = (MARGIN_PX, line + 1);
-            }
-            legend.push(Named {
-                name: name.clone(),
-                colour: colours::class(index),
-                x,
-                line,
-            });
-            x += wide + BETWEEN_PX;
-        }
-        Self {
-            width,
-            height: LEGEND + line * LINE,
-            views: Vec::new(),
-            classes,
-            legend,
-        }
-    }
+    legend: Legend,
 }
 
 impl Views<'_> {
     fn colour(&self, area: &SemanticArea) -> String {
-        colour(&area.class, self.classes)
+        colours::class_of(&area.class, self.classes)
     }
 }
 
@@ -177,32 +125,12 @@ impl<'m> Panels<'m> {
 fn coloured(labels: &LabelImage, classes: &[String]) -> Result<Vec<u8>, Fault> {
     let (width, height, values) =
         decoded(&labels.png.0, ColorType::Grayscale).map_err(|fault| fault.at("label image"))?;
-    let named = labels.classes.iter();
-    let palette: Vec<[u8; 4]> = named
-        .map(|name| {
-            let [red, green, blue] = rgb(&colour(name, classes));
-            [red, green, blue, 255]
-        })
-        .collect();
+    let palette = colours::palette(&labels.classes, classes);
     let pixels: Vec<u8> = values
         .iter()
-        .flat_map(|value| palette.get(usize::from(*value)).copied().unwrap_or([0; 4]))
+        .flat_map(|value| palette[usize::from(*value)])
         .collect();
     encoded(width, height, ColorType::Rgba, &pixels)
-}
-
-/// The colour of a class, as `#rrggbb`.
-fn colour(class: &str, classes: &[String]) -> String {
-    let index = classes.iter().position(|known| known == class);
-    colours::class(index.unwrap_or(usize::MAX - 1))
-}
-
-fn rgb(colour: &str) -> [u8; 3] {
-    [1, 3, 5].map(|at| {
-        let hex = colour.get(at..at + 2);
-        hex.and_then(|hex| u8::from_str_radix(hex, 16).ok())
-            .unwrap_or(128)
-    })
 }
 
 #[cfg(test)]
@@ -275,37 +203,23 @@ mod tests {
     }
 
     #[test]
-    fn the_legend_has_as_many_lines_as_its_names_take() {
+    fn views_begin_below_the_last_line_of_the_legend() {
         let names = "building car fence person pole road sidewalk sky tree";
-        let classes: Vec<String> = names.split(' ').map(str::to_owned).collect();
-        let picture = |width: u32| {
-            let mut map = pictured();
-            map.classes = classes.clone();
+        let mut map = pictured();
+        map.classes = names.split(' ').map(str::to_owned).collect();
+        let drawn = |width: u32| {
+            let mut map = map.clone();
             map.views[0].graph.width = width;
-            (Views::legend(&classes, width), views(&map).unwrap())
+            views(&map).unwrap()
         };
-        let (legend, drawn) = picture(256);
-        assert_eq!(drawn.width_px, 256);
-        assert_eq!(legend.legend.len(), classes.len());
-        for (one, next) in legend.legend.iter().zip(&legend.legend[1..]) {
-            let end = one.x + NAME_PX + strokes::width(&one.name);
-            assert!(one.x >= MARGIN_PX && end <= 256.0 - MARGIN_PX, "{end}");
-            let goes_on = one.line == next.line && end < next.x;
-            assert!(goes_on || next.line == one.line + 1 && next.x == MARGIN_PX);
-        }
-        let last = &legend.legend[8];
-        assert!(last.line > 0 && last.x + NAME_PX + strokes::width("tree") <= 256.0 - MARGIN_PX);
-        // The views begin below the last line.
-        assert!(last.y() + strokes::LETTER_PX < f64::from(legend.height));
+        let legend = Legend::of_classes(&map.classes, 256);
+        let narrow = drawn(256);
+        assert_eq!(narrow.width_px, 256);
         assert!(
-            drawn
+            narrow
                 .svg
                 .contains(&format!("<svg x=\"0\" y=\"{}\"", legend.height))
         );
-        // There is room for all of them in one line of a wide picture.
-        let (legend, drawn) = picture(1024);
-        assert!(legend.legend.iter().all(|named| named.line == 0));
-        assert_eq!(legend.height, LEGEND);
-        assert!(drawn.height_px < picture(256).1.height_px);
+        assert!(drawn(1024).height_px < narrow.height_px);
     }
 }

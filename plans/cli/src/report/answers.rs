@@ -62,6 +62,25 @@ pub const OF_SEMANTIC_MAPS: [Question; 3] = [
     ),
 ];
 
+/// What a person who doubts a stable map asks.
+pub const OF_STABLE_MAPS: [Question; 3] = [
+    (
+        "warped_labels",
+        "Seen behind what moves",
+        include_str!("queries/seen_behind.sql"),
+    ),
+    (
+        "occlusion_model",
+        "What hides behind what moves",
+        include_str!("queries/occlusions.sql"),
+    ),
+    (
+        "inferred_labels",
+        "Inferred areas",
+        include_str!("queries/inferred.sql"),
+    ),
+];
+
 /// The answer to a question.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Answer {

@@ -8,13 +8,14 @@ use evermap_engine::map::{LayerInfo, RunRow, VersionInfo, versions};
 use evermap_schemas::Fault;
 
 use crate::arguments::HTTP;
-use crate::draw::{Canvas, Picture, draw, matrix, views};
+use crate::draw::{Canvas, Picture, draw, matrix, stable, views};
 use crate::metric::{Drift, metric_map};
 use crate::quantity;
 use crate::reader::{MapReader, typed};
-use crate::report::answers::{Answer, OF_METRIC_MAPS, OF_SEMANTIC_MAPS, answers};
+use crate::report::answers::{Answer, OF_METRIC_MAPS, OF_SEMANTIC_MAPS, OF_STABLE_MAPS, answers};
 use crate::scene::{drawn, scene, trajectories};
 use crate::semantic::{semantic_map, similarities};
+use crate::stable::stable_map;
 
 /// Width of the picture in a report, pixels.
 const WIDTH_PX: u32 = 1400;
@@ -43,6 +44,8 @@ pub struct Facts {
     pub metric: Option<MetricFacts>,
     /// The semantic map of that site; `None` where there is none.
     pub semantic: Option<SemanticFacts>,
+    /// The stable map of that site; `None` where there is none.
+    pub stable: Option<StableFacts>,
     /// The site that is drawn.
     pub site: String,
     /// Sites of the map.
@@ -90,6 +93,17 @@ pub struct SemanticFacts {
     pub views: Option<Picture>,
     /// Similarity of each query with each view of the map.
     pub matrix: Option<Picture>,
+    /// The answers.
+    pub answers: Vec<Answer>,
+}
+
+/// What a person who doubts a stable map wants to see: what was put in the place of what moves, and how surely.
+#[derive(Debug, Clone)]
+pub struct StableFacts {
+    /// Labels before, warped, inferred and stable, beside images.
+    pub picture: Option<Picture>,
+    /// Whether the truth of a simulated street is beside them.
+    pub is_compared: bool,
     /// The answers.
     pub answers: Vec<Answer>,
 }
@@ -171,6 +185,7 @@ pub async fn gather(reader: &MapReader, site: Option<&str>) -> Result<Facts, Fau
         picture,
         metric: metric_facts(reader, site, canvas).await?,
         semantic: semantic_facts(reader, site).await?,
+        stable: stable_facts(reader, site).await?,
         layers,
         sessions: sessions(reader).await?,
         units: units(reader).await?,
@@ -205,6 +220,17 @@ async fn semantic_facts(reader: &MapReader, site: &str) -> Result<Option<Semanti
         views: views(&found).ok(),
         matrix: similarities.and_then(|found| matrix(&found, MATRIX_PX).ok()),
         answers: answers(reader, &OF_SEMANTIC_MAPS).await?,
+    }))
+}
+
+async fn stable_facts(reader: &MapReader, site: &str) -> Result<Option<StableFacts>, Fault> {
+    let Some(found) = stable_map(reader, site).await? else {
+        return Ok(None);
+    };
+    Ok(Some(StableFacts {
+        picture: stable(&found, WIDTH_PX).ok(),
+        is_compared: found.views.iter().any(|view| view.truth.is_some()),
+        answers: answers(reader, &OF_STABLE_MAPS).await?,
     }))
 }
 

@@ -79,6 +79,7 @@ fn facts() -> Facts {
         picture: draw(&scene, Canvas::default()).map_err(|fault| fault.to_string()),
         metric: Some(metric),
         semantic: None,
+        stable: None,
         sites: vec!["lot".into()],
         layers: vec![layer],
         sessions: vec![SessionFact {
