@@ -65,17 +65,17 @@ pub const OF_SEMANTIC_MAPS: [Question; 3] = [
 /// What a person who doubts a stable map asks.
 pub const OF_STABLE_MAPS: [Question; 3] = [
     (
-        "warped_labels",
+        &["warped_labels"],
         "Seen behind what moves",
         include_str!("queries/seen_behind.sql"),
     ),
     (
-        "occlusion_model",
+        &["occlusion_model"],
         "What hides behind what moves",
         include_str!("queries/occlusions.sql"),
     ),
     (
-        "inferred_labels",
+        &["inferred_labels"],
         "Inferred areas",
         include_str!("queries/inferred.sql"),
     ),
