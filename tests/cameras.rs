@@ -947,13 +947,13 @@ fn an_image_in_a_manifest_says_where_a_camera_shows_its_vehicle() {
     std::fs::write(&body, b"P5\n99999 99999\n255\n").unwrap();
     refused(true, "/body.pgm: expected 1 to ");
     std::fs::write(&body, "body").unwrap();
-    refused(2, "/body.pgm: expected a png or pgm with one value");
+    refused(true, "/body.pgm: expected a png or pgm with one value");
     std::fs::remove_file(&body).unwrap();
     refused(true, "expected a file for `front`, found nothing at ");
     let pipe = std::process::Command::new("mkfifo").arg(&body).status();
     assert!(pipe.unwrap().success());
     refused(
-        2,
+        true,
         "expected a file for `front`, found a named pipe, and no file at ",
     );
     std::fs::remove_file(&body).unwrap();
