@@ -922,7 +922,9 @@ fn an_image_in_a_manifest_says_where_a_camera_shows_its_vehicle() {
     let composed = evermap(&explain).expect(0).stdout;
     assert!(composed.contains(text(&body)), "{composed}");
     assert!(!composed.contains("hex"), "{composed}");
-    std::fs::write(&body, half(true, 255)).unwrap();
+    let mut other = half(false, 255);
+    *other.last_mut().unwrap() = 255;
+    std::fs::write(&body, other).unwrap();
     let more = [
         "--sessions",
         text(&log),
