@@ -585,6 +585,7 @@ fn one_plan_node_runs_every_operator() {
         occurrences("Duty for "),
         [
             vec![(PathBuf::from("plans/engine/src/nodes/light/filtered.rs"), 2)],
+            once("plans/engine/src/nodes/light/joined.rs"),
             once("plans/engine/src/nodes/light.rs"),
             once("plans/engine/src/nodes/operator.rs"),
             once("plans/engine/src/nodes/pixels.rs"),
@@ -593,7 +594,7 @@ fn one_plan_node_runs_every_operator() {
             once("plans/engine/src/sql/as_of/exec.rs"),
         ]
         .concat(),
-        "a node for filters and one for what is dealt out, one for sorts, one for operators, one for images, one for functions in Python, one for plans \
+        "a node for filters and one for what is dealt out, one around joins, one for sorts, one for operators, one for images, one for functions in Python, one for plans \
          that make much of few rows, one for as-of joins"
     );
     let engine = |(path, _): &(PathBuf, usize)| path.starts_with("plans/engine");

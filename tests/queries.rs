@@ -682,6 +682,11 @@ fn queries_of_heavy_rows_need_little_memory() {
             2,
         ),
         (
+            "SELECT h.n, octet_length(h.data) AS bytes FROM \"/heavy\" h \
+             JOIN (SELECT DISTINCT n FROM \"/heavy\" WHERE n % 2 = 0) o ON h.n = o.n",
+            1001,
+        ),
+        (
             "SELECT n % 4 AS part, max(octet_length(data)) FROM \"/heavy\" GROUP BY n % 4",
             5,
         ),

@@ -3,11 +3,13 @@
 //! Its sort spills what does not fit, but a batch must fit into its share of the memory, and so must two batches of what
 //! it has spilled, to be merged. So [`LightSortExec`] cuts what comes by bytes, looks how heavy the rows are, and then
 //! has them sorted so many at a time that a batch has a megabyte. Files are read in batches of a few megabytes, as far
-//! as they tell how large they are. What filters and repartitions leave of batches is put together by bytes ([`filtered`]).
+//! as they tell how large they are. What filters and repartitions leave of batches is put together by bytes
+//! ([`filtered`]), and what joins make of logs is made of few rows at a time ([`joined`]).
 //! What an expression makes of rows is made of few at a time (`spared`). How many rows
 //! a batch has depends on the rows alone, never on the memory there is, as results may depend on it.
 
 mod filtered;
+mod joined;
 
 pub use filtered::is_filter;
 
@@ -37,6 +39,8 @@ use datafusion::physical_plan::{ExecutionPlan, ExecutionPlanProperties};
 use futures::stream::BoxStream;
 use futures::{Stream, StreamExt, TryStreamExt};
 
+use self::filtered::light_filter;
+use self::joined::light_join;
 use crate::locked::locked;
 use crate::nodes::node::{Duty, Node, first};
 use crate::nodes::spared::spared;
@@ -60,10 +64,10 @@ impl PhysicalOptimizerRule for LightBatches {
     ) -> Result<Arc<dyn ExecutionPlan>> {
         let most = options.execution.batch_size.get();
         let lighter = plan.transform_up(|plan| {
-            let light = match light_sort(&plan)?.or_else(|| light_scan(&plan, most)) {
-                Some(light) => Some(light),
-                None => filtered::light_filter(&plan)?,
-            };
+            let light = light_sort(&plan)?
+                .or_else(|| light_scan(&plan, most))
+                .or(light_filter(&plan)?)
+                .or(light_join(&plan, most)?);
             let plan = light.map_or_else(|| Transformed::no(plan), Transformed::yes);
             let spared = spared(&plan.data, most)?;
             Ok(spared.map_or(plan, Transformed::yes))
@@ -181,7 +185,10 @@ async fn begin(
         .boxed();
     let mut pieces = gathered(Arc::clone(&schema), pieces).boxed();
     let first = pieces.try_next().await?;
-    let rows = first.as_ref().map_or(usize::MAX, light_rows);
+    let most = context.session_config().batch_size();
+    let rows = first
+        .as_ref()
+        .map_or(most, |first| light_rows(first).min(most));
     let all = futures::stream::iter(first.map(Ok)).chain(pieces);
     let all = RecordBatchStreamAdapter::new(Arc::clone(&schema), all);
     let once = Once {
@@ -201,10 +208,9 @@ async fn begin(
     Ok(sorted.chain(nothing_more))
 }
 
-/// The context with batches of at most so many rows.
+/// The context with batches of so many rows.
 fn with_batch_rows(context: &TaskContext, rows: usize) -> Arc<TaskContext> {
     let config = context.session_config().clone();
-    let rows = rows.min(config.batch_size());
     Arc::new(TaskContext::new(
         context.task_id(),
         context.session_id(),

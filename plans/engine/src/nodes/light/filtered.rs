@@ -57,7 +57,15 @@ pub fn light_filter(plan: &Arc<dyn ExecutionPlan>) -> Result<Option<Arc<dyn Exec
     }
     let endless = node(Endless, dealt.input())?;
     let dealt = replace_children_if_necessary(Arc::clone(plan), vec![endless])?;
-    node(Gathering::default(), &dealt).map(Some)
+    all_gathered(&dealt).map(Some)
+}
+
+/// All rows of a plan, put together by bytes.
+///
+/// # Errors
+/// When a plan does not take its inputs.
+pub fn all_gathered(plan: &Arc<dyn ExecutionPlan>) -> Result<Arc<dyn ExecutionPlan>> {
+    node(Gathering::default(), plan)
 }
 
 /// Whether it stands in for a filter: fewer rows come out than went in, nobody knows how many.
@@ -66,7 +74,11 @@ pub fn is_filter(plan: &dyn ExecutionPlan) -> bool {
     gathering.is_some_and(|node| node.duty.filter.is_some())
 }
 
-fn node<D: Duty>(duty: D, input: &Arc<dyn ExecutionPlan>) -> Result<Arc<dyn ExecutionPlan>> {
+/// A node over one plan.
+///
+/// # Errors
+/// As [`Duty::output`].
+pub fn node<D: Duty>(duty: D, input: &Arc<dyn ExecutionPlan>) -> Result<Arc<dyn ExecutionPlan>> {
     let node = Node::try_new(Arc::new(duty), vec![Arc::clone(input)])?;
     Ok(Arc::new(node))
 }
@@ -77,7 +89,11 @@ fn may_be_heavy(kind: &DataType) -> bool {
         DataType::Struct(members) => members
             .iter()
             .any(|member| may_be_heavy(member.data_type())),
-        DataType::Boolean | DataType::Null | DataType::Dictionary(..) => false,
+        DataType::FixedSizeList(value, _) => may_be_heavy(value.data_type()),
+        DataType::Boolean
+        | DataType::Null
+        | DataType::Dictionary(..)
+        | DataType::FixedSizeBinary(_) => false,
         other => !other.is_primitive(),
     }
 }
@@ -121,7 +137,13 @@ impl Duty for Endless {
     }
 }
 
-fn as_they_come(child: &Arc<dyn ExecutionPlan>) -> Result<(EquivalenceProperties, Partitioning)> {
+/// What is known of rows that are those of a plan.
+///
+/// # Errors
+/// None: what [`Duty::output`] is.
+pub fn as_they_come(
+    child: &Arc<dyn ExecutionPlan>,
+) -> Result<(EquivalenceProperties, Partitioning)> {
     let (known, dealt) = (child.equivalence_properties(), child.output_partitioning());
     Ok((known.clone(), dealt.clone()))
 }

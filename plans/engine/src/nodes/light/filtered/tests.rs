@@ -111,7 +111,8 @@ async fn rows_that_wait_for_others_let_go_of_what_they_were_cut_from() {
         .unwrap()
     };
     let all: Vec<_> = (0..50).map(batch).collect();
-    let rows = MemorySourceConfig::try_new_exec(&[all.clone()], all[0].schema(), None).unwrap();
+    let rows = MemorySourceConfig::try_new_exec(std::slice::from_ref(&all), all[0].schema(), None)
+        .unwrap();
     let filter = light(Arc::new(filtered(rows, 1047).build().unwrap()));
     let found = batches(&filter).await;
     assert_eq!(numbers(&found), [1047, 1047, 1048]);
