@@ -4,7 +4,7 @@
 //! it has spilled, to be merged. So [`LightSortExec`] cuts what comes by bytes, looks how heavy the rows are, and then
 //! has them sorted so many at a time that a batch has a megabyte. Files are read in batches of a few megabytes, as far
 //! as they tell how large they are. What filters and repartitions leave of batches is put together by bytes
-//! ([`filtered`]), and what joins make of logs is made of few rows at a time ([`joined`]).
+//! (`filtered`), and what joins make of logs is made of few rows at a time (`joined`).
 //! What an expression makes of rows is made of few at a time (`spared`). How many rows
 //! a batch has depends on the rows alone, never on the memory there is, as results may depend on it.
 
