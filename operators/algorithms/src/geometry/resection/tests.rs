@@ -73,6 +73,27 @@ fn off(found: &Pose, truth: &Pose) -> Vector6<f64> {
     Vector6::new(shift.x, shift.y, shift.z, turn.x, turn.y, turn.z)
 }
 
+/// The gate leaves one in a hundred out; of all scenes together hardly more are.
+#[test]
+fn hardly_a_true_correspondence_is_left_out() {
+    let (mut kept, mut all) = (0, 0);
+    for seed in 0..120 {
+        let good = 30 + (seed as usize * 7) % 30;
+        let depth_sigma_m = 0.3 * (seed % 2) as f64;
+        let scene = scene(
+            [1, 2, 4][seed as usize % 3],
+            good,
+            good,
+            depth_sigma_m,
+            seed,
+        );
+        let found = resect(&scene.rig, &scene.given, &ResectionOptions::default()).unwrap();
+        kept += found.inliers.iter().filter(|i| **i < good).count();
+        all += good;
+    }
+    assert!(kept as f64 >= 0.98 * all as f64, "{kept} of {all}");
+}
+
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(60))]
     #[test]
@@ -89,7 +110,9 @@ proptest! {
         prop_assert!(distance < 45.0, "error {} is {} sigma²", error, distance);
         prop_assert!(error.fixed_rows::<3>(0).norm() < 0.3 && error.fixed_rows::<3>(3).norm() < 0.05);
         let true_ones = found.inliers.iter().filter(|i| **i < good).count();
-        prop_assert!(true_ones * 10 >= good * 9, "{} of {}", true_ones, good);
+        // The gate leaves one in a hundred out. Of 60, fewer than one scene in a million lose eight, and of 31 six; some more
+        // are left for the pose's own error, and for near points whose depth is known to a tenth, whose errors are not normal.
+        prop_assert!(good - true_ones <= 4 + good / 8, "{} of {}", true_ones, good);
         prop_assert!(found.inliers.len() - true_ones <= 3 + bad / 10);
         prop_assert!((0.3..1.6).contains(&found.variance_factor), "{}", found.variance_factor);
         let again = resect(&scene.rig, &scene.given, &ResectionOptions::default()).unwrap();
