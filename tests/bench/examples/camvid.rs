@@ -413,13 +413,13 @@ fn best_power(held_out: &[(&Frame, Vec<f32>)], model: &Model, stride: u32) -> f6
 }
 
 /// The kernels that `crf_settings` would choose.
-fn best_kernels<'a>(held_out: &[(&'a Frame, Vec<f32>)], factors: &[f32], stride: u32) -> Kernels {
-    let example = |(frame, scores): &(&'a Frame, Vec<f32>)| {
+fn best_kernels(held_out: &[(&Frame, Vec<f32>)], factors: &[f32], stride: u32) -> Kernels {
+    let example = |(frame, scores): &(&Frame, Vec<f32>)| {
         let own = of_cells(scores, factors);
         let unary = Unary::from_probabilities(CLASSES.len(), &own).unwrap();
-        Example::new(&frame.image(), stride, unary, false, &frame.labels).unwrap()
+        Example::new(&frame.image(), stride, unary, false, frame.labels.clone()).unwrap()
     };
-    let examples: Vec<Example<'_>> = held_out.iter().map(example).collect();
+    let examples: Vec<Example> = held_out.iter().map(example).collect();
     let trials = search(&examples, &SearchOptions::default(), |_| ()).unwrap();
     let labelled: usize = trials.iter().map(|trial| trial.examples).sum();
     let best = &trials[0];

@@ -61,16 +61,6 @@ struct Encoded {
     image: Option<Vec<u8>>,
 }
 
-/// The same, decoded.
-struct Decoded {
-    rgb: Rgb,
-    cell_px: u32,
-    /// Of each cell.
-    unary: Unary,
-    wraps: bool,
-    truth: Vec<u8>,
-}
-
 struct Collector {
     params: CrfSettingsParams,
     lenses: Lenses,
@@ -108,17 +98,16 @@ impl Stream for Collector {
             return Ok(());
         };
         let step = self.images.len().div_ceil(self.params.images as usize);
-        let mut decoded = Vec::new();
+        let mut examples = Vec::new();
         for image in self.images.iter().step_by(step.max(1)) {
             let Some(bytes) = &image.image else {
                 continue;
             };
             match image.decode(bytes, &first.classes, &self.lenses) {
-                Ok(image) => decoded.push(image),
+                Ok(example) => examples.push(example),
                 Err(reason) => emit.skip(reason, 1),
             }
         }
-        let examples: Vec<Example<'_>> = decoded.iter().filter_map(Decoded::example).collect();
         if examples.is_empty() {
             return Ok(());
         }
@@ -134,7 +123,7 @@ impl Stream for Collector {
 }
 
 impl Encoded {
-    fn decode(&self, bytes: &[u8], classes: &[String], lenses: &Lenses) -> Result<Decoded, Reason> {
+    fn decode(&self, bytes: &[u8], classes: &[String], lenses: &Lenses) -> Result<Example, Reason> {
         let scores = &self.scores;
         if scores.classes != classes || classes.len() > MOST_CLASSES {
             return Err("image has other classes than the first one".into());
@@ -161,13 +150,10 @@ impl Encoded {
             scores.stamp,
         );
         let wraps = lenses.wraps(taken, size);
-        Ok(Decoded {
-            rgb,
-            cell_px: scores.stride_px,
-            unary: Unary::of_cells(&view).map_err(|_| MISSIZED)?,
-            wraps,
-            truth: truth.data,
-        })
+        let image = ColourView::new(rgb.width, rgb.height, &rgb.data).ok_or(MISSIZED)?;
+        let example = Unary::of_cells(&view)
+            .and_then(|unary| Example::new(&image, scores.stride_px, unary, wraps, truth.data));
+        example.map_err(|_| MISSIZED.into())
     }
 }
 
@@ -180,14 +166,6 @@ fn renumbered(from: &[String], to: &[String]) -> [u8; 256] {
         *entry = found.unwrap_or(VOID);
     }
     table
-}
-
-impl Decoded {
-    fn example(&self) -> Option<Example<'_>> {
-        let image = ColourView::new(self.rgb.width, self.rgb.height, &self.rgb.data)?;
-        let unary = self.unary.clone();
-        Example::new(&image, self.cell_px, unary, self.wraps, &self.truth).ok()
-    }
 }
 
 fn setting(site: &str, rank: u32, trial: &Trial) -> CrfSetting {

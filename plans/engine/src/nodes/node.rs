@@ -16,8 +16,8 @@ use datafusion::physical_expr::{
 use datafusion::physical_plan::execution_plan::{Boundedness, EmissionType};
 use datafusion::physical_plan::metrics::{ExecutionPlanMetricsSet, MetricsSet};
 use datafusion::physical_plan::{
-    DisplayAs, DisplayFormatType, ExecutionPlan, InputDistributionRequirements, Partitioning,
-    PlanProperties,
+    DisplayAs, DisplayFormatType, ExecutionPlan, ExecutionPlanProperties,
+    InputDistributionRequirements, Partitioning, PlanProperties,
 };
 
 /// How the rows of a child are dealt out to partitions.
@@ -102,14 +102,19 @@ pub trait Duty: fmt::Display + Send + Sync + Sized + 'static {
         vec![Need::any()]
     }
 
-    /// What comes out, given the children: columns, what is known of their order, partitions.
+    /// What comes out, given the children: columns, what is known of their order, partitions; those of the first child, where
+    /// nothing else is said.
     ///
     /// # Errors
     /// When the children make no sense.
     fn output(
         &self,
         children: &[Arc<dyn ExecutionPlan>],
-    ) -> Result<(EquivalenceProperties, Partitioning)>;
+    ) -> Result<(EquivalenceProperties, Partitioning)> {
+        let child = first(children)?;
+        let (known, dealt) = (child.equivalence_properties(), child.output_partitioning());
+        Ok((known.clone(), dealt.clone()))
+    }
 
     /// How the rows of all children must be dealt out.
     fn distribution(&self, children: &[Arc<dyn ExecutionPlan>]) -> InputDistributionRequirements {

@@ -14,13 +14,10 @@ use datafusion::error::{DataFusionError, Result};
 use datafusion::execution::memory_pool::MemoryConsumer;
 use datafusion::execution::{SendableRecordBatchStream, TaskContext};
 use datafusion::physical_expr::expressions::{InListExpr, Literal};
-use datafusion::physical_expr::{EquivalenceProperties, Partitioning};
 use datafusion::physical_plan::stream::RecordBatchStreamAdapter;
 use datafusion::physical_plan::unnest::UnnestExec;
 use datafusion::physical_plan::windows::WindowAggExec;
-use datafusion::physical_plan::{
-    ExecutionPlan, ExecutionPlanProperties, replace_children_if_necessary,
-};
+use datafusion::physical_plan::{ExecutionPlan, replace_children_if_necessary};
 use datafusion::scalar::ScalarValue;
 use futures::{StreamExt, TryStreamExt, stream};
 
@@ -128,15 +125,6 @@ impl fmt::Display for Sparing {
 impl Duty for Sparing {
     const NAME: &'static str = "SpareExec";
     type Shared = ();
-
-    fn output(
-        &self,
-        children: &[Arc<dyn ExecutionPlan>],
-    ) -> Result<(EquivalenceProperties, Partitioning)> {
-        let child = first(children)?;
-        let (known, dealt) = (child.equivalence_properties(), child.output_partitioning());
-        Ok((known.clone(), dealt.clone()))
-    }
 
     fn keeps_order(&self) -> bool {
         true

@@ -5,7 +5,7 @@ use super::{ColourView, Confusion, CrfError, Kernels, MeanField, RandomField, Un
 /// An image whose classes are known, with costs from a classifier that has not learnt from it. It is labelled cell by
 /// cell, as nothing finer was said of it: in cells of two by two pixels that is a quarter of the work.
 #[derive(Debug, Clone)]
-pub struct Example<'a> {
+pub struct Example {
     /// Columns and rows of cells.
     cells: [usize; 2],
     /// The mean colour of each cell, row by row.
@@ -15,10 +15,10 @@ pub struct Example<'a> {
     cell_px: usize,
     width_px: usize,
     wraps: bool,
-    truth: &'a [u8],
+    truth: Vec<u8>,
 }
 
-impl<'a> Example<'a> {
+impl Example {
     /// Of an image in cells of so many pixels a side (the last ones may be cut off by its border), what each cell is by
     /// itself, row by row, and the classes of its pixels, row by row; values that are no class (255) are not scored. With
     /// `wraps`, its last column is next to its first one, as in a full panorama.
@@ -30,7 +30,7 @@ impl<'a> Example<'a> {
         cell_px: u32,
         unary: Unary,
         wraps: bool,
-        truth: &'a [u8],
+        truth: Vec<u8>,
     ) -> Result<Self, CrfError> {
         let cell_px = cell_px.max(1) as usize;
         let cells = [image.width(), image.height()].map(|size| size.div_ceil(cell_px));
@@ -117,7 +117,7 @@ mod tests {
         (labels, colours)
     }
 
-    fn labelled(example: &Example<'_>, kernels: &Kernels) -> Confusion {
+    fn labelled(example: &Example, kernels: &Kernels) -> Confusion {
         let none = Confusion::new(example.classes());
         let found = example.labelled(kernels, MeanField::default(), none);
         found.unwrap()
@@ -138,7 +138,7 @@ mod tests {
             let (said, _) = painted(seed.wrapping_add(1), columns * rows);
             let unary = of_labels(3, &said, 0.5);
             let image = ColourView::new(width as u32, height as u32, &pixels).unwrap();
-            let example = Example::new(&image, cell as u32, unary.clone(), false, &truth).unwrap();
+            let example = Example::new(&image, cell as u32, unary.clone(), false, truth.clone()).unwrap();
             let found = labelled(&example, &KERNELS);
             let small = ColourView::new(columns as u32, rows as u32, &colours).unwrap();
             let field = RandomField::new(&small, &KERNELS.in_cells(cell), false).unwrap();
@@ -162,13 +162,13 @@ mod tests {
     fn costs_and_truth_are_of_all_cells_and_pixels() {
         let bytes = [0; 15];
         let image = ColourView::new(5, 1, &bytes).unwrap();
-        let example = |costs: usize, truth: &'static [u8]| {
+        let example = |costs: usize, truth: usize| {
             let unary = of_labels(2, &vec![0; costs], 0.7);
-            Example::new(&image, 2, unary, false, truth).map(|_| ())
+            Example::new(&image, 2, unary, false, vec![0; truth]).map(|_| ())
         };
-        assert_eq!(example(3, &[0; 5]), Ok(()));
+        assert_eq!(example(3, 5), Ok(()));
         let missized = |expected, found| Err(CrfError::Size { expected, found });
-        assert_eq!(example(5, &[0; 5]), missized(6, 10));
-        assert_eq!(example(3, &[0; 3]), missized(5, 3));
+        assert_eq!(example(5, 5), missized(6, 10));
+        assert_eq!(example(3, 3), missized(5, 3));
     }
 }

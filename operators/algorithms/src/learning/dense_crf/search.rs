@@ -67,7 +67,7 @@ type Steps = [i32; 5];
 /// # Errors
 /// [`CrfError`] for kernels that cannot be used.
 pub fn search(
-    examples: &[Example<'_>],
+    examples: &[Example],
     options: &SearchOptions,
     told: impl Fn(f64),
 ) -> Result<Vec<Trial>, CrfError> {
@@ -122,7 +122,7 @@ struct Runner {
 
 struct Race<'a> {
     /// In an order in which the first few are spread over all.
-    examples: Vec<&'a Example<'a>>,
+    examples: Vec<&'a Example>,
     options: &'a SearchOptions,
     classes: usize,
     /// What pixels are by themselves.
@@ -130,7 +130,7 @@ struct Race<'a> {
 }
 
 impl<'a> Race<'a> {
-    fn new(examples: &'a [Example<'a>], options: &'a SearchOptions) -> Result<Self, CrfError> {
+    fn new(examples: &'a [Example], options: &'a SearchOptions) -> Result<Self, CrfError> {
         let classes = examples.iter().map(|example| example.classes()).max();
         let mut order: Vec<usize> = (0..examples.len()).collect();
         order.sort_by_key(|index| index.reverse_bits());
@@ -313,11 +313,11 @@ mod tests {
             }
         }
 
-        fn example(&self) -> Example<'_> {
+        fn example(&self) -> Example {
             let [width, height] = Self::SIZE.map(|side| side as u32);
             let image = ColourView::new(width, height, &self.colours).unwrap();
             let unary = of_labels(2, &self.noisy, 0.7);
-            Example::new(&image, 1, unary, false, &self.truth).unwrap()
+            Example::new(&image, 1, unary, false, self.truth.clone()).unwrap()
         }
     }
 }

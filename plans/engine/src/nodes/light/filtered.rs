@@ -51,7 +51,7 @@ pub fn light_filter(plan: &Arc<dyn ExecutionPlan>) -> Result<Option<Arc<dyn Exec
     let Some(dealt) = plan.downcast_ref::<RepartitionExec>() else {
         return Ok(None);
     };
-    // It puts batches together again where its rows end, and where it does not merge them by an order.
+    // One that keeps an order, or whose rows do not end, puts no batches together.
     if dealt.preserve_order() || dealt.input().boundedness().is_unbounded() {
         return Ok(None);
     }
@@ -111,13 +111,6 @@ impl Duty for Endless {
     const NAME: &'static str = "EndlessExec";
     type Shared = ();
 
-    fn output(
-        &self,
-        children: &[Arc<dyn ExecutionPlan>],
-    ) -> Result<(EquivalenceProperties, Partitioning)> {
-        as_they_come(first(children)?)
-    }
-
     fn boundedness(&self) -> Boundedness {
         Boundedness::Unbounded {
             requires_infinite_memory: false,
@@ -137,17 +130,6 @@ impl Duty for Endless {
     }
 }
 
-/// What is known of rows that are those of a plan.
-///
-/// # Errors
-/// None: what [`Duty::output`] is.
-pub fn as_they_come(
-    child: &Arc<dyn ExecutionPlan>,
-) -> Result<(EquivalenceProperties, Partitioning)> {
-    let (known, dealt) = (child.equivalence_properties(), child.output_partitioning());
-    Ok((known.clone(), dealt.clone()))
-}
-
 /// What is kept of each row that comes, and of which rows.
 #[derive(Debug, Clone)]
 struct Filter {
@@ -161,6 +143,13 @@ impl Filter {
             predicate: Arc::clone(filter.predicate()),
             projection: filter.projection().clone(),
         }
+    }
+
+    /// The filter of DataFusion's over a plan.
+    fn over(&self, plan: &Arc<dyn ExecutionPlan>) -> Result<Arc<dyn ExecutionPlan>> {
+        let same = FilterExecBuilder::new(Arc::clone(&self.predicate), Arc::clone(plan));
+        let same = same.apply_projection_by_ref(self.projection.as_ref())?;
+        Ok(Arc::new(same.build()?))
     }
 
     fn kept(&self, batch: &RecordBatch) -> Result<RecordBatch> {
@@ -208,17 +197,12 @@ impl Duty for Gathering {
         children: &[Arc<dyn ExecutionPlan>],
     ) -> Result<(EquivalenceProperties, Partitioning)> {
         let child = first(children)?;
-        let Some(Filter {
-            predicate,
-            projection,
-        }) = &self.filter
-        else {
-            return as_they_come(child);
+        let same: Arc<dyn ExecutionPlan> = match &self.filter {
+            Some(filter) => filter.over(child)?,
+            None => Arc::clone(child),
         };
-        let same = FilterExecBuilder::new(Arc::clone(predicate), Arc::clone(child));
-        let same = same.apply_projection_by_ref(projection.as_ref())?.build()?;
-        let same: Arc<dyn ExecutionPlan> = Arc::new(same);
-        as_they_come(&same)
+        let (known, dealt) = (same.equivalence_properties(), same.output_partitioning());
+        Ok((known.clone(), dealt.clone()))
     }
 
     fn expressions(&self) -> Vec<&Arc<dyn PhysicalExpr>> {

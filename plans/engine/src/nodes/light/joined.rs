@@ -9,12 +9,11 @@ use arrow::datatypes::DataType;
 use datafusion::datasource::source::DataSourceExec;
 use datafusion::error::Result;
 use datafusion::execution::{SendableRecordBatchStream, TaskContext};
-use datafusion::physical_expr::{EquivalenceProperties, Partitioning};
 use datafusion::physical_plan::joins::{HashJoinExec, SortMergeJoinExec};
 use datafusion::physical_plan::{ExecutionPlan, replace_children_if_necessary};
 use evermap_datasets::scan::scanned;
 
-use super::filtered::{all_gathered, as_they_come, node};
+use super::filtered::{all_gathered, node};
 use super::with_batch_rows;
 use crate::nodes::node::{Duty, Node, first};
 
@@ -69,13 +68,6 @@ impl fmt::Display for Batches {
 impl Duty for Batches {
     const NAME: &'static str = "BatchesExec";
     type Shared = ();
-
-    fn output(
-        &self,
-        children: &[Arc<dyn ExecutionPlan>],
-    ) -> Result<(EquivalenceProperties, Partitioning)> {
-        as_they_come(first(children)?)
-    }
 
     fn keeps_order(&self) -> bool {
         true
