@@ -635,6 +635,33 @@ fn sorts_windows_groups_and_joins_larger_than_memory_are_answered_from_disk() {
     }
 }
 
+#[test]
+fn what_a_killed_query_put_aside_goes_with_the_next_that_puts_something_aside() {
+    let ((_folder, map), temporary) = (mapped(), tempfile::tempdir().unwrap());
+    let sorted = "SELECT max(t) FROM (SELECT repeat('a', 1000) || value AS t FROM \
+         generate_series(1, 200000) ORDER BY t DESC LIMIT 190000)";
+    let ask = || {
+        let mut asked = command(&["sql", "--map", text(&map), "--memory", "32MiB", sorted]);
+        asked.env("TMPDIR", temporary.path()).stdout(Stdio::null());
+        asked.spawn().unwrap()
+    };
+    let left = || std::fs::read_dir(temporary.path()).unwrap().count();
+    let begun = Instant::now();
+    let mut killed = ask();
+    while left() == 0 {
+        assert!(
+            begun.elapsed() < Duration::from_secs(60),
+            "nothing is put aside"
+        );
+        std::thread::sleep(Duration::from_millis(10));
+    }
+    killed.kill().unwrap();
+    killed.wait().unwrap();
+    assert_eq!(left(), 1);
+    assert!(ask().wait().unwrap().success());
+    assert_eq!(left(), 0);
+}
+
 /// A log of 2,000 messages of 400 kB, a few kilobytes when packed.
 fn log_of_heavy_rows(path: &Path) {
     let chunks = mcap::WriteOptions::new().chunk_size(Some(1_600_000));
@@ -685,6 +712,15 @@ fn queries_of_heavy_rows_need_little_memory() {
             "SELECT h.n, octet_length(h.data) AS bytes FROM \"/heavy\" h \
              JOIN (SELECT DISTINCT n FROM \"/heavy\" WHERE n % 2 = 0) o ON h.n = o.n",
             1001,
+        ),
+        (
+            "SELECT h.n, octet_length(h.data) AS bytes FROM \"/heavy\" h \
+             JOIN (VALUES (10.5), (1500.5)) v(x) ON h.n > v.x AND h.n < v.x + 400",
+            801,
+        ),
+        (
+            "SELECT octet_length(h.data) AS bytes FROM \"/heavy\" h CROSS JOIN (VALUES (1), (2)) v(x)",
+            4001,
         ),
         (
             "SELECT n % 4 AS part, max(octet_length(data)) FROM \"/heavy\" GROUP BY n % 4",

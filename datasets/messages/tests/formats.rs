@@ -345,7 +345,14 @@ fn hostile_descriptors_are_read_or_refused() {
 fn definitions_out_of_proportion_are_refused() {
     let ros = |text: &str| MessageType::parse("cdr", "ros2msg", "a/msg/X", text.as_bytes());
     let members = |n: usize| (0..n).map(|n| format!("int8 a{n}\n")).collect::<String>();
-    assert_eq!(ros(&members(20_000 - 1)).unwrap().fields().len(), 19_999);
+    assert_eq!(ros(&members(4096)).unwrap().fields().len(), 4096);
+    let wide = ros(&members(4097)).unwrap_err().to_string();
+    assert!(
+        wide.contains("at most 4096 members of a message, found 4097"),
+        "{wide}"
+    );
+    let within = format!("T t\n================\nMSG: a/T\n{}", members(20_000 - 2));
+    assert_eq!(ros(&within).unwrap().fields().len(), 1);
     ros(&members(30_000)).unwrap_err();
     ros(&"# nothing\n".repeat(200_000)).unwrap_err();
     let doubling: String = (0..50)

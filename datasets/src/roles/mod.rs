@@ -63,7 +63,7 @@ pub(crate) fn table(role: &Role, sessions: &[Session]) -> Result<Arc<dyn TablePr
             },
             robots: messages
                 .robots
-                .map(|robots| RobotOf::new(*robots, role.name, sessions)),
+                .map(|robots| RobotOf::new(*robots, messages.vehicle, role.name, sessions)),
             still: messages
                 .still
                 .map(|sent| StillOf::new(*sent, role.name, sessions)),

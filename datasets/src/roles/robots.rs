@@ -1,10 +1,11 @@
 //! Which robot the rows of a role are of, where its topics may tell of several: read from all their messages, unless the
 //! first ones settle it.
 
+use std::cmp::Reverse;
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use evermap_schemas::roles::{Choice, Messages, Motion, Robots, Role, Topic};
+use evermap_schemas::roles::{Choice, Messages, Motion, OdometryOf, Robots, Role, Topic};
 use evermap_schemas::{Fault, rows};
 use futures::TryStreamExt;
 use tokio::sync::OnceCell;
@@ -16,11 +17,17 @@ use crate::roles::ahead::{AT_ONCE, batches};
 use crate::roles::rows::{Known, Meant};
 use crate::session::{LogPart, Session};
 
+/// Messages of odometry that say which frames those of their topic are of. The very first may be sent before its sender
+/// knows them.
+const FIRST: usize = 16;
+
 /// The robots that are meant, by session.
 #[derive(Debug)]
 pub(super) struct RobotOf {
     /// How messages become the motions of robots.
     messages: Messages,
+    /// How messages of odometry do.
+    odometry: Option<&'static Messages>,
     sessions: BTreeMap<Arc<str>, Asked>,
 }
 
@@ -31,18 +38,30 @@ struct Asked {
     vehicle: Vehicle,
     /// Files and topics of it that have robots.
     places: Vec<(Arc<LogPart>, String)>,
+    /// Those that have odometry of one vehicle, where somebody asked for them.
+    odometry: Vec<(Arc<LogPart>, String)>,
     /// The odometry that is meant, once somebody asked.
     meant: OnceCell<Meant>,
 }
 
 impl RobotOf {
-    /// Those of a role; its topics' messages become the motions of robots so.
-    pub fn new(messages: Messages, role: &str, sessions: &[Session]) -> Self {
+    /// Those of a role; its topics' messages become the motions of robots so, transforms and odometry.
+    pub fn new(
+        messages: Messages,
+        odometry: Option<&'static Messages>,
+        role: &str,
+        sessions: &[Session],
+    ) -> Self {
         let sessions = sessions.iter();
         Self {
             messages,
+            odometry,
             sessions: sessions
-                .map(|session| (session.name.clone(), Asked::of(&messages, role, session)))
+                .map(|session| {
+                    let mut asked = Asked::of(&messages, role, session);
+                    asked.odometry = places(odometry, role, session);
+                    (session.name.clone(), asked)
+                })
                 .collect(),
         }
     }
@@ -55,7 +74,12 @@ impl RobotOf {
     pub async fn of(&self, session: &str) -> Result<Meant, Fault> {
         match self.sessions.get(session) {
             Some(asked) => {
-                let read = || asked.meant(self.messages);
+                let read = || async {
+                    match (asked.places.is_empty(), self.odometry) {
+                        (true, Some(odometry)) => Ok(asked.usual(*odometry).await),
+                        _ => asked.meant(self.messages).await,
+                    }
+                };
                 asked.meant.get_or_try_init(read).await.cloned()
             }
             None => Ok(Meant::default()),
@@ -120,15 +144,10 @@ fn has_any(robots: &Robots, frame: &str) -> bool {
 
 impl Asked {
     fn of(messages: &Messages, role: &str, session: &Session) -> Self {
-        let topics = session.roles.topics(role).iter();
-        let places = topics.flat_map(|topic| {
-            let parts = session.parts.iter();
-            let telling = parts.filter(move |part| tells(messages, part, topic));
-            telling.map(move |part| (part.clone(), topic.clone()))
-        });
         Self {
             vehicle: session.vehicle.clone(),
-            places: places.collect(),
+            places: places(Some(messages), role, session),
+            odometry: Vec::new(),
             meant: OnceCell::new(),
         }
     }
@@ -152,6 +171,30 @@ impl Asked {
             }
             Err(fault) => Err(fault.at(format!("topic {topic}")).at(&part.url)),
         }
+    }
+
+    /// The odometry of the vehicle that is named, where the first messages have it, else that which most of them have. What cannot be read is told where rows are read.
+    async fn usual(&self, messages: Messages) -> Meant {
+        for (part, topic) in &self.odometry {
+            let batches = batches::<Motion>(messages, part, topic, Known::default(), FIRST);
+            let Ok(mut batches) = batches else { continue };
+            let Ok(Some(batch)) = batches.try_next().await else {
+                continue;
+            };
+            let mut found = rows::<Motion>(&batch).unwrap_or_default();
+            let frame = self.vehicle.frame();
+            if found.iter().any(|motion| motion.child == frame) {
+                found.retain(|motion| motion.child == frame);
+            }
+            if let Some(Motion { parent, child }) = most(&found) {
+                let odometry = OdometryOf::Frame { parent, child };
+                return Meant {
+                    odometry,
+                    motion: None,
+                };
+            }
+        }
+        Meant::default()
     }
 
     /// Why its topics move no vehicle, with what a manifest may say. `None` where they have a robot: whether it is the one
@@ -181,6 +224,30 @@ impl Asked {
         }
         Ok(robots)
     }
+}
+
+/// The frames that most messages have; of as many, the first.
+fn most(found: &[Motion]) -> Option<Motion> {
+    let like = |one: &&Motion| Reverse(found.iter().filter(|other| other == one).count());
+    found.iter().min_by_key(like).cloned()
+}
+
+/// Files and topics that play a role in a session, with messages of such types.
+fn places(
+    messages: Option<&Messages>,
+    role: &str,
+    session: &Session,
+) -> Vec<(Arc<LogPart>, String)> {
+    let Some(messages) = messages else {
+        return Vec::new();
+    };
+    let topics = session.roles.topics(role).iter();
+    let places = topics.flat_map(|topic| {
+        let parts = session.parts.iter();
+        let telling = parts.filter(move |part| tells(messages, part, topic));
+        telling.map(move |part| (part.clone(), topic.clone()))
+    });
+    places.collect()
 }
 
 /// Whether a topic's messages in a file are of a type that tells of robots, or of a vehicle.

@@ -10,8 +10,7 @@ use std::sync::Arc;
 use evermap_schemas::roles::frame_names::{are_of_two_robots, shown, split};
 use evermap_schemas::roles::robots::told_name;
 use evermap_schemas::roles::{
-    CAMERA_FRAMES, CalibratedFrame, Choice, Messages, Namespaces, OdometryFrame, Robots, Role,
-    Topic,
+    CAMERA_FRAMES, CalibratedFrame, Choice, Messages, Motion, Namespaces, Robots, Role, Topic,
 };
 use evermap_schemas::{Fault, LayerRow};
 
@@ -245,8 +244,8 @@ fn candidates(role: &Role, messages: &Messages, topics: &[Topic]) -> Vec<String>
 
 /// The frame that the first message of a topic says it is of; `None` where it names none.
 async fn named_by(messages: &Messages, parts: &[Arc<LogPart>], topic: &str) -> Option<String> {
-    let OdometryFrame { frame } = first_row(messages, parts, topic).await?;
-    (!frame.is_empty()).then_some(frame)
+    let Motion { child, .. } = first_row(messages, parts, topic).await?;
+    (!child.is_empty()).then_some(child)
 }
 
 /// The first row that a topic's messages become.

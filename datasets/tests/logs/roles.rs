@@ -487,6 +487,67 @@ async fn transforms_that_move_no_vehicle_are_counted_with_what_a_manifest_may_sa
     assert_eq!(told, [(said.to_owned(), 1)]);
 }
 
+/// Two that publish on one topic would be one vehicle that leaps between theirs, and what a sender says before it knows its
+/// frames would be all that is read.
+#[tokio::test]
+async fn odometry_of_other_frames_than_most_messages_of_its_topic_is_counted() {
+    let fields = br#"{"type": "object", "properties": {
+        "header": {"type": "object", "properties": {"frame_id": {"type": "string"}}},
+        "child_frame_id": {"type": "string"},
+        "pose": {"type": "object", "properties": {"pose": {"type": "object", "properties": {
+            "position": {"type": "object", "properties":
+                {"x": {"type": "number"}, "y": {"type": "number"}, "z": {"type": "number"}}},
+            "orientation": {"type": "object", "properties":
+                {"x": {"type": "number"}, "y": {"type": "number"}, "z": {"type": "number"}, "w": {"type": "number"}}}
+        }}}}
+    }}"#;
+    let said = [
+        ("", "", 9.0),
+        ("/odom", "a/base_link", 0.0),
+        ("b/odom", "b/base_link", 5.0),
+        ("odom", "a/base_link", 1.0),
+        ("odom", "/a/base_link", 2.0),
+        ("b/odom", "b/base_link", 6.0),
+    ];
+    let messages = said.iter().zip(0..).map(|((parent, child, x), number)| {
+        let pose = serde_json::json!({
+            "position": {"x": x, "y": 0.0, "z": 0.0},
+            "orientation": {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0},
+        });
+        let said = serde_json::json!({
+            "header": {"frame_id": parent}, "child_frame_id": child, "pose": {"pose": pose},
+        });
+        message(1, number, said.to_string().as_bytes())
+    });
+    let definitions = [
+        schema(1, "nav_msgs/Odometry", "jsonschema", fields),
+        channel(1, 1, "/odom", "json"),
+    ];
+    let log = file(
+        &definitions.into_iter().chain(messages).collect::<Vec<_>>(),
+        &[],
+    );
+    for (manifest, expected, other) in [
+        ("", vec![0.0, 1.0, 2.0], 3),
+        ("defaults: {vehicle_frame: b/base_link}", vec![5.0, 6.0], 4),
+    ] {
+        let (context, dataset) = opened_with(&log, manifest).await;
+        let query = "SELECT * FROM odometry ORDER BY stamp";
+        let batches = context.sql(query).await.unwrap().collect().await.unwrap();
+        let poses = batches
+            .iter()
+            .flat_map(|batch| typed::<OdometryPose>(batch).unwrap());
+        let found: Vec<f64> = poses.map(|row| row.odom_from_vehicle.x).collect();
+        assert_eq!(found, expected, "{manifest}");
+        let told: Vec<_> = dataset.losses.told().into_iter().collect();
+        let [(said, count)] = &told[..] else {
+            panic!("{told:?}");
+        };
+        assert!(said.contains("expected the pose of `"), "{said}");
+        assert_eq!(*count, other, "{said}");
+    }
+}
+
 /// A frame has one parent: what moves the vehicle in another one is not read, and that is said.
 #[tokio::test]
 async fn transforms_that_move_the_vehicle_in_another_frame_are_counted() {

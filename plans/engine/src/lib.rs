@@ -33,4 +33,5 @@ pub mod program;
 pub mod quoted;
 pub mod run;
 pub mod sql;
+pub mod temporary;
 pub mod unit;

@@ -39,6 +39,7 @@ use datafusion::catalog::{CatalogProvider, MemorySchemaProvider, TableProvider};
 use datafusion::common::{DFSchema, TableReference};
 use datafusion::datasource::MemTable;
 use datafusion::error::Result as DataFusionResult;
+use datafusion::execution::disk_manager::{DiskManagerBuilder, DiskManagerMode};
 use datafusion::execution::runtime_env::{RuntimeEnv, RuntimeEnvBuilder};
 use datafusion::execution::{SessionState, SessionStateBuilder};
 use datafusion::logical_expr::{DescribeTable, LogicalPlan};
@@ -74,6 +75,7 @@ use crate::sql::pool::SharedPool;
 use crate::sql::term::go_on;
 use crate::sql::widths::check_widths;
 use crate::sql::written::Written;
+use crate::temporary::Spills;
 
 pub use missing::{NO_TABLE, Unlisted, explained, no_table, table_of};
 pub use size::{QUERY_WORDS, STACK_BYTES, check_size};
@@ -168,8 +170,12 @@ pub fn context_with(limits: Limits, batch_rows: usize) -> Result<SessionContext,
 /// A resource fault when the runtime cannot be set up.
 pub fn runtime(limits: Limits) -> Result<Arc<RuntimeEnv>, Fault> {
     let pool = SharedPool::new(limits.memory_bytes, limits.partitions);
-    let runtime = RuntimeEnvBuilder::new().with_memory_pool(Arc::new(pool));
-    runtime.build_arc().or_fault()
+    let spills = DiskManagerMode::Custom(Arc::new(Spills::default()));
+    RuntimeEnvBuilder::new()
+        .with_memory_pool(Arc::new(pool))
+        .with_disk_manager_builder(DiskManagerBuilder::default().with_mode(spills))
+        .build_arc()
+        .or_fault()
 }
 
 /// A context with the settings and limits of another, and without its tables.

@@ -64,7 +64,7 @@ pub use gnss_fixes::GnssFix;
 pub use image_annotations::ImageAnnotation;
 pub use imu::ImuMeasurement;
 pub use label_classes::LabelClass;
-pub use odometry::{OdometryFrame, OdometryPose};
+pub use odometry::OdometryPose;
 pub use robots::{Motion, Namespaces, OdometryOf, Robots, Stray};
 pub use transforms::Transform;
 

@@ -3,9 +3,7 @@
 use std::cmp::Reverse;
 
 use crate::roles::transforms::{self, Transform};
-use crate::roles::{
-    Choice, FromMessage, Message, Messages, Motion, Role, Topic, frame_names, in_words,
-};
+use crate::roles::{Choice, FromMessage, Message, Messages, Motion, Role, Topic, in_words};
 use crate::{Pose, Stamp, record};
 
 record! {
@@ -26,15 +24,6 @@ record! {
         speed_mps: Option<f64> ["m/s", "vehicle"],
         /// Rate of turn about the vehicle's z axis; null where the log does not say it.
         yaw_rate_radps: Option<f64> ["rad/s", "vehicle"],
-    }
-}
-
-record! {
-    /// The vehicle that odometry is of, as a message names it.
-    #[layer("odometry_frames", key(frame))]
-    pub struct OdometryFrame {
-        /// The frame whose pose the message has, without the slash that ROS 1 puts in front; empty where it names none.
-        frame: String,
     }
 }
 
@@ -59,7 +48,7 @@ pub const ROLE: Role = Role::of::<OdometryPose>(Messages {
 
 const ROBOTS: Messages = Messages::of::<Motion>(transforms::TYPES);
 
-const VEHICLE: Messages = Messages::of::<OdometryFrame>(&[ODOMETRY]);
+const VEHICLE: Messages = Messages::of::<Motion>(&[ODOMETRY]);
 
 const TYPES: &[&str] = &[
     ODOMETRY,
@@ -125,6 +114,9 @@ impl FromMessage for OdometryPose {
                 .map(|found| Self::of_transform(message, found))
                 .collect());
         }
+        if let Some(stray) = message.robot.stray(&Motion::of_odometry(message)) {
+            return Err(stray);
+        }
         let fields = &message.fields;
         // nav_msgs/Odometry and PoseWithCovarianceStamped have a pose with covariance, PoseStamped and PoseInFrame a plain one.
         let nested = fields.number(&["pose", "pose", "position", "x"]).is_some();
@@ -149,16 +141,6 @@ impl FromMessage for OdometryPose {
             speed_mps: twist(["linear", "x"]),
             yaw_rate_radps: twist(["angular", "z"]),
         }])
-    }
-}
-
-impl FromMessage for OdometryFrame {
-    const MEMBERS: &'static [&'static str] = &["child_frame_id"];
-
-    fn from_message(message: &Message<'_>) -> Result<Vec<Self>, String> {
-        let child = message.fields.text(&["child_frame_id"]);
-        let frame = frame_names::plain(&child.unwrap_or_default()).to_owned();
-        Ok(vec![Self { frame }])
     }
 }
 

@@ -5,33 +5,54 @@ mod namespaces;
 use std::collections::{BTreeMap, BTreeSet};
 
 use crate::roles::frame_names::{self, shown};
-use crate::roles::transforms::{self, Transform};
+use crate::roles::transforms;
 use crate::roles::{FromMessage, Message};
 use crate::{Fault, record};
 
 pub use namespaces::{Namespaces, Stray, told_name};
 
 record! {
-    /// A frame in another, as a message of transforms says: it may be that a robot's odometry moves it.
+    /// A frame in another, as a message of transforms or of odometry says: it may be that a robot's odometry moves it.
     #[layer("motions", key(parent, child))]
     pub struct Motion {
-        /// The frame that it moves in: `robot1/odom`.
+        /// The frame that it moves in, as all frames without the slash that ROS 1 puts in front: `robot1/odom`.
         parent: String,
-        /// The frame that moves: `robot1/base_link`.
+        /// The frame that moves: `robot1/base_link`; empty where a message of odometry names none.
         child: String,
     }
 }
 
 impl FromMessage for Motion {
-    const MEMBERS: &'static [&'static str] = Transform::MEMBERS;
+    const MEMBERS: &'static [&'static str] = &[
+        "transforms",
+        "header",
+        "timestamp",
+        "parent_frame_id",
+        "child_frame_id",
+        "translation",
+        "rotation",
+    ];
 
     fn from_message(message: &Message<'_>) -> Result<Vec<Self>, String> {
+        let Some(transforms) = transforms::all(message) else {
+            return Ok(vec![Self::of_odometry(message)]);
+        };
         // What makes no sense is the business of the roles that read it.
-        let transforms = transforms::all(message).unwrap_or_default();
         let sound = transforms.into_iter().flatten();
         let found: BTreeSet<_> = sound.map(|found| (found.parent, found.child)).collect();
         let motion = |(parent, child)| Self { parent, child };
         Ok(found.into_iter().map(motion).collect())
+    }
+}
+
+impl Motion {
+    /// The frames of a message of odometry, which has one pose.
+    pub(super) fn of_odometry(message: &Message<'_>) -> Self {
+        let child = message.fields.text(&["child_frame_id"]);
+        Self {
+            parent: message.frame(),
+            child: frame_names::plain(&child.unwrap_or_default()).to_owned(),
+        }
     }
 }
 
@@ -49,7 +70,7 @@ fn moved<'f>(parent: &'f str, child: &'f str) -> Option<&'f str> {
 pub enum OdometryOf {
     /// Those that REP 105 names so, behind the robot's prefix.
     Robot(String),
-    /// Those of one frame in another, which a manifest names.
+    /// Those of one frame in another, which a manifest names, or most messages of odometry.
     Frame {
         /// The frame that the vehicle moves in.
         parent: String,
@@ -75,6 +96,18 @@ impl OdometryOf {
                 child: to,
             } => frame_names::plain(parent) == from && frame_names::plain(child) == to,
         }
+    }
+
+    /// That a message of odometry has the pose of another frame, or in another one, than most do: in words. `None` for
+    /// those that most are like, and where that is not known.
+    pub(super) fn stray(&self, found: &Motion) -> Option<String> {
+        let Self::Frame { parent, child } = self else {
+            return None;
+        };
+        (!self.is(&found.parent, &found.child)).then(|| {
+            let Motion { parent: from, child: to } = found;
+            format!("expected the pose of `{child}` in `{parent}`, as most messages have it, found that of `{to}` in `{from}`")
+        })
     }
 
     /// That a transform moves what `read`, a transform of this odometry, moves, but in another frame: in words. A frame has

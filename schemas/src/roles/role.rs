@@ -56,7 +56,7 @@ pub struct Messages {
     /// [`SentTransform`](super::SentTransform)s, which tell.
     pub still: Option<&'static Messages>,
     /// Where messages may name the vehicle that all of their topic are of: how they become
-    /// [`OdometryFrame`](super::OdometryFrame)s.
+    /// [`Motion`](super::Motion)s.
     pub vehicle: Option<&'static Messages>,
     /// The frames that a message says are fixed, which the others of its session must not contradict.
     pub mounts: Option<fn(&Message<'_>) -> Vec<Mount>>,

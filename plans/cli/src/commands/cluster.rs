@@ -1,18 +1,16 @@
 //! `evermap scheduler`, `evermap executor`, and both within the process of a run.
 
-mod folder;
-
 use std::time::Duration;
 
 use evermap_contract::Registry;
 use evermap_engine::cluster::{self, ClusterRunner, ExecutorOptions};
 use evermap_engine::run::runner::{Runner, Told, Unfinished};
 use evermap_engine::sql::Limits;
+use evermap_engine::temporary::WorkFolder;
 use evermap_engine::unit::Unit;
 use evermap_schemas::Fault;
 use futures::stream::BoxStream;
 
-use self::folder::WorkFolder;
 use crate::arguments::{ExecutorArgs, SchedulerArgs};
 use crate::ending::{DONE, Ending};
 use crate::operators;
@@ -35,7 +33,7 @@ pub async fn scheduler(args: &SchedulerArgs) -> Ending {
 /// A resource fault when its address is taken, when no scheduler answers in time or when it cannot start; a user fault for
 /// a host that has no address.
 pub async fn executor(args: &ExecutorArgs) -> Ending {
-    let work = WorkFolder::new_in(&std::env::temp_dir())?;
+    let work = WorkFolder::new()?;
     let slots = args
         .jobs
         .map_or_else(|| Limits::default().partitions, |jobs| jobs as usize);
@@ -72,7 +70,7 @@ impl WithinProcess {
         deadline: Duration,
         unfinished: &Unfinished,
     ) -> Result<Self, Fault> {
-        let work = WorkFolder::new_in(&std::env::temp_dir())?;
+        let work = WorkFolder::new()?;
         let cluster =
             ClusterRunner::in_process(registry, slots, work.path(), deadline, unfinished).await?;
         Ok(Self {

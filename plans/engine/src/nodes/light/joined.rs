@@ -1,5 +1,4 @@
-//! Joins that read logs, few rows at a time. DataFusion's hash and merge joins make batches of so many rows, whatever they
-//! weigh, and a row of a log may be an image; of files of a map it is known how heavy their rows are, and batches are as few
+//! Joins that read logs, few rows at a time. DataFusion's joins make batches of so many rows, whatever they weigh, and a row of a log may be an image; of files of a map it is known how heavy their rows are, and batches are as few
 //! rows as that asks for.
 
 use std::fmt;
@@ -9,7 +8,9 @@ use arrow::datatypes::DataType;
 use datafusion::datasource::source::DataSourceExec;
 use datafusion::error::Result;
 use datafusion::execution::{SendableRecordBatchStream, TaskContext};
-use datafusion::physical_plan::joins::{HashJoinExec, SortMergeJoinExec};
+use datafusion::physical_plan::joins::{
+    CrossJoinExec, HashJoinExec, NestedLoopJoinExec, PiecewiseMergeJoinExec, SortMergeJoinExec,
+};
 use datafusion::physical_plan::{ExecutionPlan, replace_children_if_necessary};
 use evermap_datasets::scan::scanned;
 
@@ -28,7 +29,11 @@ pub fn light_join(
     plan: &Arc<dyn ExecutionPlan>,
     most: usize,
 ) -> Result<Option<Arc<dyn ExecutionPlan>>> {
-    let joins = plan.is::<HashJoinExec>() || plan.is::<SortMergeJoinExec>();
+    let joins = plan.is::<HashJoinExec>()
+        || plan.is::<SortMergeJoinExec>()
+        || plan.is::<NestedLoopJoinExec>()
+        || plan.is::<PiecewiseMergeJoinExec>()
+        || plan.is::<CrossJoinExec>();
     let schema = plan.schema();
     let mut columns = schema.fields().iter();
     if !joins || !columns.any(|column| is_of_bytes(column.data_type())) || !reads_log(plan) {

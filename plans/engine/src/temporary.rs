@@ -1,25 +1,32 @@
-//! The folder of an executor's temporary files: it goes with its executor, or with the next one that begins beside it. A
-//! run that is a cluster within its process has one, too.
+//! Folders of temporary files: such a folder goes with who made it, or, where that was killed, with the next one that is
+//! made beside it.
 //!
 //! ```text
-//!   evermap-executor-XXXXXX/lock   held by its executor as long as it lives
+//!   evermap-work-XXXXXX/lock   held by its maker as long as it lives
 //! ```
 
 use std::fs::{File, TryLockError};
 use std::io::{Error, ErrorKind, Result};
 use std::os::unix::fs::MetadataExt;
 use std::path::Path;
+use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
+use datafusion::error::Result as DataFusionResult;
+use datafusion::execution::disk_manager::{DiskManagerBuilder, DiskManagerMode};
+use datafusion::execution::{DiskManager, SpillFile, TempFileFactory};
 use evermap_schemas::Fault;
 use tempfile::TempDir;
 
-const PREFIX: &str = "evermap-executor-";
+use crate::error::external;
+use crate::locked::locked;
 
-/// The file that says whose folder it is, by who has locked it.
+const PREFIX: &str = "evermap-work-";
+
+/// The file that says whether a folder's maker lives, by being locked.
 const LOCK: &str = "lock";
 
-/// A folder without that file is of an executor that just begins, until it is as old as this.
+/// A folder without that file is of a process that just begins, until it is as old as this.
 const BEGINS: Duration = Duration::from_secs(24 * 60 * 60);
 
 /// A folder that nobody takes away as long as this is there.
@@ -31,7 +38,15 @@ pub struct WorkFolder {
 }
 
 impl WorkFolder {
-    /// A new one in this folder, from which those go that executors of the same user left when they were killed.
+    /// A new one among the system's temporary files (`TMPDIR`).
+    ///
+    /// # Errors
+    /// As [`WorkFolder::new_in`].
+    pub fn new() -> std::result::Result<Self, Fault> {
+        Self::new_in(&std::env::temp_dir())
+    }
+
+    /// A new one in this folder, from which those go that processes of the same user left when they were killed.
     ///
     /// # Errors
     /// A resource fault when it cannot be made or locked.
@@ -44,7 +59,7 @@ impl WorkFolder {
             .next("set TMPDIR to a folder of a local disk")
         })?;
         if let Err(error) = made.clear_beside(parent) {
-            tracing::debug!(%error, "what executors left is not looked for");
+            tracing::debug!(%error, "what killed processes left is not looked for");
         }
         Ok(made)
     }
@@ -67,7 +82,7 @@ impl WorkFolder {
         self.folder.path()
     }
 
-    /// Takes away the folders of executors of the same user that are no more.
+    /// Takes away the folders of processes of the same user that are no more.
     fn clear_beside(&self, parent: &Path) -> Result<()> {
         let user = std::fs::metadata(self.path())?.uid();
         for entry in std::fs::read_dir(parent)?.flatten() {
@@ -76,7 +91,7 @@ impl WorkFolder {
             if is_named && path != self.path() {
                 match clear(&path, user) {
                     Err(error) if error.kind() != ErrorKind::NotFound => {
-                        tracing::debug!(path = %path.display(), %error, "what an executor left stays");
+                        tracing::debug!(path = %path.display(), %error, "what a killed process left stays");
                     }
                     _ => {}
                 }
@@ -86,7 +101,7 @@ impl WorkFolder {
     }
 }
 
-/// Takes a folder away, unless it is of another user or of an executor that lives.
+/// Takes a folder away, unless it is of another user or of a process that lives.
 fn clear(path: &Path, user: u32) -> Result<()> {
     let found = path.symlink_metadata()?;
     if !found.is_dir() || found.uid() != user {
@@ -111,6 +126,29 @@ fn clear(path: &Path, user: u32) -> Result<()> {
     }
 }
 
+/// Where a context's sorts, joins and sides put aside what memory does not hold: a folder that is made for the first file.
+#[derive(Default)]
+pub struct Spills {
+    // The files go before their folder does.
+    made: Mutex<Option<(Arc<DiskManager>, WorkFolder)>>,
+}
+
+impl TempFileFactory for Spills {
+    fn create_temp_file(&self, description: &str) -> DataFusionResult<Arc<dyn SpillFile>> {
+        let mut made = locked(&self.made);
+        let (disk, _) = match &mut *made {
+            Some(made) => made,
+            none => {
+                let folder = WorkFolder::new().map_err(external)?;
+                let folders = DiskManagerMode::Directories(vec![folder.path().to_owned()]);
+                let disk = DiskManagerBuilder::default().with_mode(folders).build()?;
+                none.insert((Arc::new(disk), folder))
+            }
+        };
+        disk.create_tmp_file(description)
+    }
+}
+
 #[cfg(test)]
 mod tests {
     #![allow(clippy::unwrap_used)]
@@ -119,7 +157,7 @@ mod tests {
 
     use super::*;
 
-    /// A folder of an executor, with something in it; locked by nobody, or without a lock.
+    /// A folder of a process, with something in it; locked by nobody, or without a lock.
     fn left(parent: &Path, name: &str, lock: bool) -> PathBuf {
         let folder = parent.join(format!("{PREFIX}{name}"));
         std::fs::create_dir_all(folder.join("job/1")).unwrap();
