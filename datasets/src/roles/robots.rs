@@ -13,7 +13,7 @@ use crate::fault::OrFault;
 use crate::losses::{Loss, Reason};
 use crate::manifest::Vehicle;
 use crate::roles::ahead::{AT_ONCE, batches};
-use crate::roles::rows::{Known, Meant};
+use crate::roles::rows::{Meant, SessionFacts};
 use crate::session::{LogPart, Session};
 
 /// The robots that are meant, by session.
@@ -21,12 +21,12 @@ use crate::session::{LogPart, Session};
 pub(super) struct RobotOf {
     /// How messages become the motions of robots.
     messages: Messages,
-    sessions: BTreeMap<Arc<str>, Asked>,
+    sessions: BTreeMap<Arc<str>, SessionRobot>,
 }
 
 /// What a session says of its robot.
 #[derive(Debug)]
-struct Asked {
+struct SessionRobot {
     /// The vehicle that its manifest names, if any.
     vehicle: Vehicle,
     /// Files and topics of it that have robots.
@@ -42,7 +42,12 @@ impl RobotOf {
         Self {
             messages,
             sessions: sessions
-                .map(|session| (session.name.clone(), Asked::of(&messages, role, session)))
+                .map(|session| {
+                    (
+                        session.name.clone(),
+                        SessionRobot::of(&messages, role, session),
+                    )
+                })
                 .collect(),
         }
     }
@@ -80,7 +85,7 @@ pub(crate) async fn instead(
     let others: Vec<Topic> = others.cloned().collect();
     let mut choices = role.infer(&others);
     choices.retain(|choice| !session.is_silent(&choice.topic));
-    let asked = Asked::of(robots, role.name, session);
+    let asked = SessionRobot::of(robots, role.name, session);
     if choices.is_empty() || asked.places.is_empty() {
         return Ok(None);
     }
@@ -105,7 +110,7 @@ pub(crate) async fn instead(
 /// where they do, or where reading the role's rows tells.
 pub(crate) async fn unmoved(role: &Role, session: &Session) -> Option<String> {
     let robots = role.messages()?.robots?;
-    let asked = Asked::of(robots, role.name, session);
+    let asked = SessionRobot::of(robots, role.name, session);
     let mut topics = asked.places.iter().map(|(_, topic)| topic);
     if topics.all(|topic| session.is_silent(topic)) {
         return None;
@@ -118,7 +123,7 @@ fn has_any(robots: &Robots, frame: &str) -> bool {
     !matches!(robots.meant(frame), Ok(None))
 }
 
-impl Asked {
+impl SessionRobot {
     fn of(messages: &Messages, role: &str, session: &Session) -> Self {
         let topics = session.roles.topics(role).iter();
         let places = topics.flat_map(|topic| {
@@ -170,7 +175,8 @@ impl Asked {
     ) -> Result<Robots, Fault> {
         let mut robots = Robots::default();
         for (part, topic) in &self.places {
-            let mut batches = batches::<Motion>(messages, part, topic, Known::default(), AT_ONCE)?;
+            let mut batches =
+                batches::<Motion>(messages, part, topic, SessionFacts::default(), AT_ONCE)?;
             while !enough(&robots, self.vehicle.frame())
                 && let Some(batch) = batches.try_next().await.or_fault()?
             {
@@ -199,6 +205,10 @@ fn may_tell(robots: &Messages, topic: &Topic) -> bool {
 pub(crate) fn matter(roles: &[Role], session: &Session) -> bool {
     roles.iter().any(|role| {
         let robots = role.messages().and_then(|messages| messages.robots);
-        robots.is_some_and(|robots| !Asked::of(robots, role.name, session).places.is_empty())
+        robots.is_some_and(|robots| {
+            !SessionRobot::of(robots, role.name, session)
+                .places
+                .is_empty()
+        })
     })
 }
