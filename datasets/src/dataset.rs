@@ -196,7 +196,7 @@ impl Recordings {
     /// is an MCAP file. A damaged file is no error, nor one among others that cannot be read: see [`Dataset::losses`].
     pub async fn open(self) -> Result<Dataset, Fault> {
         let (roles, topics) = (self.roles, &self.topics);
-        let said = Said {
+        let said = ManifestTopics {
             topics,
             bits: &self.bits,
             vehicle: &self.vehicle,
@@ -238,7 +238,7 @@ impl Recordings {
 
 /// What a manifest says of the topics of all sessions.
 #[derive(Clone, Copy)]
-struct Said<'m> {
+struct ManifestTopics<'m> {
     /// By role.
     topics: &'m BTreeMap<String, Vec<String>>,
     bits: &'m Bits,
@@ -251,7 +251,7 @@ type Opened = (Session, Vec<String>, Vec<Fault>);
 async fn open_session(
     recording: Recording,
     roles: &[Role],
-    said: Said<'_>,
+    said: ManifestTopics<'_>,
     losses: &LossLedger,
 ) -> Result<Opened, Fault> {
     let given = said.topics;
@@ -377,7 +377,7 @@ fn check_topics(given: &BTreeMap<String, Vec<String>>, sessions: &[Session]) -> 
 }
 
 /// The patterns of the manifest, by key, that no session has a topic for.
-fn unknown_topics(said: Said<'_>, sessions: &[Session]) -> Vec<(String, String)> {
+fn unknown_topics(said: ManifestTopics<'_>, sessions: &[Session]) -> Vec<(String, String)> {
     let topics: BTreeSet<String> = sessions.iter().flat_map(Session::topics).collect();
     let is_known = |pattern: &str| {
         let pattern = glob::Pattern::new(pattern);

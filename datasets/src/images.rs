@@ -43,7 +43,7 @@ pub struct ImageReader {
 
 /// A chunk, or what stands in for one: the bytes of an image outside any chunk.
 #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord)]
-struct Place {
+struct ChunkRef {
     session: String,
     part: u32,
     offset: u64,
@@ -52,7 +52,7 @@ struct Place {
     opening: Opening,
 }
 
-/// What is done with the bytes of a [`Place`].
+/// What is done with the bytes of a [`ChunkRef`].
 #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord)]
 enum Opening {
     /// They are taken as they are.
@@ -67,25 +67,25 @@ type Slot = Arc<OnceCell<Result<Bytes, Fault>>>;
 
 #[derive(Debug)]
 struct Cache {
-    slots: BTreeMap<Place, Slot>,
+    slots: BTreeMap<ChunkRef, Slot>,
     /// Least recently used first.
-    order: VecDeque<Place>,
+    order: VecDeque<ChunkRef>,
     bytes: u64,
     limit: u64,
 }
 
 impl Cache {
-    fn slot(&mut self, place: &Place) -> Slot {
-        if let Some(slot) = self.slots.get(place) {
+    fn slot(&mut self, chunk: &ChunkRef) -> Slot {
+        if let Some(slot) = self.slots.get(chunk) {
             let slot = slot.clone();
-            self.order.retain(|other| other != place);
-            self.order.push_back(place.clone());
+            self.order.retain(|other| other != chunk);
+            self.order.push_back(chunk.clone());
             return slot;
         }
         let slot = Slot::default();
-        self.bytes += place.size;
-        self.slots.insert(place.clone(), slot.clone());
-        self.order.push_back(place.clone());
+        self.bytes += chunk.size;
+        self.slots.insert(chunk.clone(), slot.clone());
+        self.order.push_back(chunk.clone());
         while self.bytes > self.limit {
             let Some(oldest) = self.order.pop_front() else {
                 break;
@@ -97,7 +97,7 @@ impl Cache {
     }
 }
 
-impl Place {
+impl ChunkRef {
     /// Where an image lies, if of the chunks that are opened whole the largest has so many bytes.
     fn of(image: &ImageRef, largest: u64) -> Self {
         let plain = |offset: u64| (offset, image.length, image.length, Opening::Plain);
@@ -166,37 +166,37 @@ impl ImageReader {
     /// A user fault when a reference names a session that the dataset does not have. What is wrong with one image, or
     /// with its chunk, is that image's own fault.
     pub async fn resolve(&self, images: &[ImageRef]) -> Result<Vec<Result<Bytes, Fault>>, Fault> {
-        let mut places = BTreeMap::<Place, Vec<usize>>::new();
+        let mut chunks = BTreeMap::<ChunkRef, Vec<usize>>::new();
         let mut videos = Vec::new();
         for (index, image) in images.iter().enumerate() {
             match Codec::named(&image.format) {
                 Some(codec) => videos.push((index, image, codec)),
                 None => {
-                    let place = Place::of(image, self.largest);
-                    places.entry(place).or_default().push(index);
+                    let chunk = ChunkRef::of(image, self.largest);
+                    chunks.entry(chunk).or_default().push(index);
                 }
             }
         }
         let missing = || Err(Fault::bug("an image was not resolved"));
         let mut resolved: Vec<Result<Bytes, Fault>> = images.iter().map(|_| missing()).collect();
-        let large = |place: &Place, _: &mut Vec<usize>| {
-            place.size > self.largest && matches!(place.opening, Opening::Unpack(_))
+        let large = |chunk: &ChunkRef, _: &mut Vec<usize>| {
+            chunk.size > self.largest && matches!(chunk.opening, Opening::Unpack(_))
         };
-        for (place, indexes) in places.extract_if(.., large) {
-            for (index, image) in self.large(&place, images, &indexes).await? {
+        for (chunk, indexes) in chunks.extract_if(.., large) {
+            for (index, image) in self.large(&chunk, images, &indexes).await? {
                 resolved[index] = image;
             }
         }
-        let mut opened = futures::stream::iter(places)
-            .map(|(place, indexes)| async move {
-                let chunk = self.open(&place).await?;
-                Ok::<_, Fault>((chunk, place, indexes))
+        let mut opened = futures::stream::iter(chunks)
+            .map(|(chunk, indexes)| async move {
+                let content = self.open(&chunk).await?;
+                Ok::<_, Fault>((content, chunk, indexes))
             })
             .buffered(OPEN_AT_ONCE);
-        while let Some((chunk, place, indexes)) = opened.try_next().await? {
+        while let Some((content, chunk, indexes)) = opened.try_next().await? {
             for index in indexes {
-                resolved[index] = match &chunk {
-                    Ok(bytes) => self.image_bytes(bytes, &place, &images[index]),
+                resolved[index] = match &content {
+                    Ok(bytes) => self.image_bytes(bytes, &chunk, &images[index]),
                     Err(fault) => Err(fault.clone()),
                 };
             }
@@ -222,8 +222,13 @@ impl ImageReader {
         })
     }
 
-    fn image_bytes(&self, opened: &Bytes, place: &Place, image: &ImageRef) -> Result<Bytes, Fault> {
-        let start = match place.opening {
+    fn image_bytes(
+        &self,
+        opened: &Bytes,
+        chunk: &ChunkRef,
+        image: &ImageRef,
+    ) -> Result<Bytes, Fault> {
+        let start = match chunk.opening {
             Opening::Plain => 0,
             _ => image.offset,
         };
@@ -243,10 +248,10 @@ impl ImageReader {
         decoded.map(Bytes::from).map_err(Fault::data)
     }
 
-    async fn open(&self, place: &Place) -> Result<Result<Bytes, Fault>, Fault> {
-        let part = self.part(&place.session, place.part)?;
-        let slot = held(&self.cache).slot(place);
-        let bytes = slot.get_or_init(|| read(part, place)).await;
+    async fn open(&self, chunk: &ChunkRef) -> Result<Result<Bytes, Fault>, Fault> {
+        let part = self.part(&chunk.session, chunk.part)?;
+        let slot = held(&self.cache).slot(chunk);
+        let bytes = slot.get_or_init(|| read(part, chunk)).await;
         Ok(bytes.clone())
     }
 }
@@ -256,20 +261,20 @@ fn held<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
 }
 
 /// Fetches and decompresses.
-async fn read(part: &LogPart, place: &Place) -> Result<Bytes, Fault> {
-    let at = |fault: Fault| fault.at(format!("{} at {}", part.url, place.offset));
-    let end = place.offset.saturating_add(place.length);
-    if end > part.meta.size || place.size > LARGEST_CHUNK {
+async fn read(part: &LogPart, chunk: &ChunkRef) -> Result<Bytes, Fault> {
+    let at = |fault: Fault| fault.at(format!("{} at {}", part.url, chunk.offset));
+    let end = chunk.offset.saturating_add(chunk.length);
+    if end > part.meta.size || chunk.size > LARGEST_CHUNK {
         return Err(at(Fault::data(
             "expected an image inside the file, found none there",
         )));
     }
-    let bytes = fetch(&part.store, &part.meta, place.offset..end).await?;
-    let (place, size) = (place.clone(), place.size);
-    let opened = tokio::task::spawn_blocking(move || match &place.opening {
+    let bytes = fetch(&part.store, &part.meta, chunk.offset..end).await?;
+    let (chunk, size) = (chunk.clone(), chunk.size);
+    let opened = tokio::task::spawn_blocking(move || match &chunk.opening {
         Opening::Plain => Ok((bytes, None)),
         Opening::Unpack(compression) => unpack(compression, bytes, size),
-        Opening::Chunk => Block::open(&bytes, place.offset).map(|block| (block.bytes, None)),
+        Opening::Chunk => Block::open(&bytes, chunk.offset).map(|block| (block.bytes, None)),
     });
     let opened = opened.await;
     let opened = opened.map_err(|error| Fault::bug(error.to_string()))?;

@@ -64,10 +64,10 @@ record! {
 /// Names of the tables.
 pub(crate) const NAMES: [&str; 2] = ["sessions", "channels"];
 
-type Named = (&'static str, Arc<dyn TableProvider>);
+type NamedTable = (&'static str, Arc<dyn TableProvider>);
 
 /// The tables, by name.
-pub(crate) fn tables(sessions: &[Session]) -> [Named; 2] {
+pub(crate) fn tables(sessions: &[Session]) -> [NamedTable; 2] {
     let [first, second] = NAMES;
     let sessions: Arc<[Session]> = sessions.into();
     let listed = sessions.clone();

@@ -47,7 +47,7 @@ pub(crate) fn check(text: &str) -> Result<(), String> {
     if text.bytes().filter(opens).count() <= FEW && !text.contains('&') {
         return Ok(());
     }
-    let mut seen = Seen::default();
+    let mut seen = NodeCounter::default();
     let mut parser = Parser::new_from_str(text);
     while let Some(event) = parser.next_event() {
         let (event, span) = event.map_err(|error| match error.info() {
@@ -69,9 +69,9 @@ fn too_deep() -> String {
     format!("values nested deeper than {DEEPEST} levels")
 }
 
-/// What was seen of a text.
+/// How many values a text has, those that its aliases repeat counted.
 #[derive(Default)]
-struct Seen {
+struct NodeCounter {
     /// Of each collection that is open: its anchor, and the values in it so far.
     open: Vec<(usize, usize)>,
     /// Values by anchor, those in them counted.
@@ -80,7 +80,7 @@ struct Seen {
     values: usize,
 }
 
-impl Seen {
+impl NodeCounter {
     fn event(&mut self, event: &Event<'_>) -> Result<(), String> {
         match event {
             Event::SequenceStart(anchor, _) | Event::MappingStart(anchor, _) => {

@@ -19,7 +19,7 @@ use evermap_algorithms::ground::boxes::GroundBox;
 use evermap_algorithms::ground::boxes::mosaic::Mosaic;
 use evermap_algorithms::ground::boxes::picture::Picture;
 use evermap_algorithms::ground::boxes::teaching::{
-    Example, Hypothesis, Said, Taught, TeachingParams,
+    Example, Hypothesis, Judgement, Taught, TeachingParams,
 };
 use evermap_algorithms::ground::channels::Pixels;
 use evermap_algorithms::ground::tiles::TILE_CELLS;
@@ -147,7 +147,7 @@ impl Floor {
         let mut examples: Vec<Example> = truth
             .map(|place| Example {
                 place: *place,
-                said: Said::Drawn,
+                judgement: Judgement::Drawn,
             })
             .collect();
         let learn = |examples: &[Example]| {
@@ -162,7 +162,7 @@ impl Floor {
             let wrong: Vec<GroundBox> = wrong.map(|one| one.place).collect();
             examples.extend(wrong.into_iter().map(|place| Example {
                 place,
-                said: Said::Rejected,
+                judgement: Judgement::Rejected,
             }));
             taught = learn(&examples);
         }

@@ -32,15 +32,15 @@ impl Generation {
     }
 }
 
-/// One place in the text, for messages about it.
+/// One line of the text, for messages about it.
 #[derive(Clone, Copy)]
-struct Place<'a> {
+struct SourceLine<'a> {
     generation: Generation,
     schema: &'a str,
     line: usize,
 }
 
-impl Place<'_> {
+impl SourceLine<'_> {
     fn fault(&self, expected: &str, found: &str) -> SchemaError {
         SchemaError::Syntax {
             language: self.generation.language(),
@@ -63,7 +63,7 @@ pub(crate) fn parse(
     let mut current = Declaration::new(&root, Extensibility::Unstated);
     let mut at_header = false;
     for (index, line) in text.lines().enumerate() {
-        let place = Place {
+        let place = SourceLine {
             generation,
             schema: schema_name,
             line: index + 1,
@@ -142,7 +142,7 @@ fn header(line: &str) -> Option<&str> {
 }
 
 /// A member, or none for blank lines and constants.
-fn member(line: &str, scope: &str, place: Place) -> Result<Option<Member>, SchemaError> {
+fn member(line: &str, scope: &str, place: SourceLine) -> Result<Option<Member>, SchemaError> {
     if line.is_empty() {
         return Ok(None);
     }
@@ -164,7 +164,7 @@ fn member(line: &str, scope: &str, place: Place) -> Result<Option<Member>, Schem
     Ok(Some(Member::new(name, declared)))
 }
 
-fn declared(text: &str, scope: &str, place: Place) -> Result<Declared, SchemaError> {
+fn declared(text: &str, scope: &str, place: SourceLine) -> Result<Declared, SchemaError> {
     let (base, size) = match text.strip_suffix(']').and_then(|t| t.rsplit_once('[')) {
         Some((base, size)) => (base, Some(size.trim())),
         None => (text, None),
@@ -180,7 +180,7 @@ fn declared(text: &str, scope: &str, place: Place) -> Result<Declared, SchemaErr
     }
 }
 
-fn base_type(base: &str, scope: &str, place: Place) -> Result<Declared, SchemaError> {
+fn base_type(base: &str, scope: &str, place: SourceLine) -> Result<Declared, SchemaError> {
     // Bounds limit what may be sent, not how.
     let name = base.split_once("<=").map_or(base, |(name, _)| name);
     if let Some(wire) = primitive(name, place.generation) {

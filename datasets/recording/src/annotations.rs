@@ -16,7 +16,7 @@ use mcap::{WriteOptions, Writer};
 use crate::failed;
 
 pub use crate::RecordingError;
-pub use evermap_messages::annotation::{Anchor, Annotation, Drawn, Geometry, OnImage};
+pub use evermap_messages::annotation::{Anchor, Annotation, DrawnPixels, Geometry, OnImage};
 
 /// The topic of annotations.
 pub const TOPIC: &str = "/annotations";

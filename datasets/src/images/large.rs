@@ -9,7 +9,7 @@ use bytes::Bytes;
 use datafusion::common::runtime::SpawnedTask;
 use evermap_schemas::{Fault, ImageRef};
 
-use super::{ImageReader, Opening, Place, held, outside};
+use super::{ChunkRef, ImageReader, Opening, held, outside};
 use crate::log::walk::{Feed, Walk, fed, joined};
 
 /// Chunks that may be half gone through: two for each of two partitions that read side by side.
@@ -26,16 +26,16 @@ impl std::fmt::Debug for Walks {
 }
 
 struct Going {
-    place: Place,
+    chunk: ChunkRef,
     walk: Walk<'static>,
     feed: Feed,
 }
 
 impl Walks {
     /// The one in this chunk that is next to a byte, and not behind it.
-    fn take(&self, place: &Place, before: u64) -> Option<Going> {
+    fn take(&self, chunk: &ChunkRef, before: u64) -> Option<Going> {
         let mut walks = held(&self.0);
-        let here = |going: &Going| going.place == *place && going.walk.position() <= before;
+        let here = |going: &Going| going.chunk == *chunk && going.walk.position() <= before;
         let found = walks.iter().enumerate().filter(|(_, going)| here(going));
         let (nearest, _) = found.max_by_key(|(_, going)| going.walk.position())?;
         Some(walks.remove(nearest))
@@ -51,29 +51,29 @@ impl Walks {
 }
 
 /// Bytes of a chunk, from one to before another, and the images that lie there.
-type Wanted = BTreeMap<(u64, u64), Vec<usize>>;
+type ImageRanges = BTreeMap<(u64, u64), Vec<usize>>;
 
 /// The bytes of an image, by its number.
-type Found = Vec<(usize, Result<Bytes, Fault>)>;
+type ImageBytes = Vec<(usize, Result<Bytes, Fault>)>;
 
 impl ImageReader {
     /// The images of a compressed chunk whose numbers these are.
     pub(super) async fn large(
         &self,
-        place: &Place,
+        chunk: &ChunkRef,
         images: &[ImageRef],
         indexes: &[usize],
-    ) -> Result<Found, Fault> {
-        let mut wanted = Wanted::new();
+    ) -> Result<ImageBytes, Fault> {
+        let mut wanted = ImageRanges::new();
         for index in indexes {
             let image = &images[*index];
             let end = image.offset.saturating_add(image.length);
             wanted.entry((image.offset, end)).or_default().push(*index);
         }
         let first = wanted.keys().next().map_or(0, |(start, _)| *start);
-        let going = match self.walks.take(place, first) {
+        let going = match self.walks.take(chunk, first) {
             Some(going) => Ok(going),
-            None => self.begin(place)?,
+            None => self.begin(chunk)?,
         };
         let mut going = match going {
             Ok(going) => going,
@@ -102,27 +102,27 @@ impl ImageReader {
     }
 
     /// Begins to go through a chunk; inside, why it cannot be.
-    fn begin(&self, place: &Place) -> Result<Result<Going, Fault>, Fault> {
-        let part = self.part(&place.session, place.part)?;
-        let end = place.offset.saturating_add(place.length);
-        let Opening::Unpack(compression) = &place.opening else {
+    fn begin(&self, chunk: &ChunkRef) -> Result<Result<Going, Fault>, Fault> {
+        let part = self.part(&chunk.session, chunk.part)?;
+        let end = chunk.offset.saturating_add(chunk.length);
+        let Opening::Unpack(compression) = &chunk.opening else {
             return Ok(Err(outside()));
         };
         if end > part.meta.size {
             return Ok(Err(outside()));
         }
-        let (pieces, feed) = fed(&part.store, &part.meta, place.offset..end);
-        let walk = Walk::new(compression, place.size, pieces);
+        let (pieces, feed) = fed(&part.store, &part.meta, chunk.offset..end);
+        let walk = Walk::new(compression, chunk.size, pieces);
         let walk = walk.map_err(|(reason, detail)| Fault::data(format!("{reason}: {detail}")));
         Ok(walk.map(|walk| Going {
-            place: place.clone(),
+            chunk: chunk.clone(),
             walk,
             feed,
         }))
     }
 }
 
-fn collect(walk: &mut Walk<'_>, wanted: Wanted) -> Found {
+fn collect(walk: &mut Walk<'_>, wanted: ImageRanges) -> ImageBytes {
     let mut found = Vec::new();
     for ((start, end), indexes) in wanted {
         let bytes = bytes_at(walk, start, end);

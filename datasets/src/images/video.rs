@@ -12,7 +12,7 @@ use evermap_schemas::roles::IMAGE_MEMBER;
 use evermap_schemas::{Fault, ImageRef};
 use evermap_video::{Codec, Decoder, Failure};
 
-use crate::images::{ImageReader, Place, held};
+use crate::images::{ChunkRef, ImageReader, held};
 use crate::log::chunk::{Block, Message};
 use crate::log::record::MessageHead;
 use crate::session::LogPart;
@@ -24,7 +24,7 @@ const WAITING: usize = 4;
 type At = (u32, usize, usize);
 
 /// The frames of a topic in a unit.
-type Frames = Arc<Vec<Found>>;
+type Frames = Arc<Vec<FrameSpan>>;
 
 /// The topics whose frames were asked for, by session and topic.
 #[derive(Debug, Default)]
@@ -41,7 +41,7 @@ struct Track {
 
 /// A frame in an opened unit.
 #[derive(Debug, Clone)]
-struct Found {
+struct FrameSpan {
     start: usize,
     end: usize,
     base64: bool,
@@ -60,7 +60,7 @@ struct Run {
 /// What came out for a frame.
 type Decoded = Result<Bytes, Fault>;
 
-impl Found {
+impl FrameSpan {
     fn bytes(&self, unit: &Bytes) -> Option<Bytes> {
         let bytes = unit.slice(self.start..self.end);
         if self.base64 {
@@ -376,7 +376,7 @@ impl ImageReader {
 
     /// The records of a unit.
     async fn unit(&self, part: &Arc<LogPart>, unit: usize) -> Result<Decoded, Fault> {
-        self.open(&Place::of_unit(part, &part.index.units[unit]))
+        self.open(&ChunkRef::of_unit(part, &part.index.units[unit]))
             .await
     }
 }
@@ -410,7 +410,7 @@ fn within(part: &LogPart, unit: usize, image: &ImageRef) -> usize {
     usize::try_from(start).unwrap_or(usize::MAX)
 }
 
-fn find(part: &LogPart, topic: &str, bytes: &Bytes, codec: Codec) -> Vec<Found> {
+fn find(part: &LogPart, topic: &str, bytes: &Bytes, codec: Codec) -> Vec<FrameSpan> {
     let channels: Vec<u16> = part.channels_of(topic).map(|channel| channel.id).collect();
     let wanted = |head: &MessageHead| channels.contains(&head.channel);
     let messages = Block::loose(bytes.clone(), 0).contents(wanted).messages;
@@ -418,7 +418,7 @@ fn find(part: &LogPart, topic: &str, bytes: &Bytes, codec: Codec) -> Vec<Found> 
         let message_type = part.message_type(message.head.channel)?.as_ref().ok()?;
         let payload = &bytes[message.start..message.end];
         let located = message_type.locate(payload, &[IMAGE_MEMBER]).ok()??;
-        let mut found = Found {
+        let mut found = FrameSpan {
             start: message.start + located.range.start,
             end: message.start + located.range.end,
             base64: located.base64,

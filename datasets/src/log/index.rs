@@ -12,7 +12,7 @@ use serde::{Deserialize, Serialize};
 use crate::log::definition::{Definition, LogChannel, LogSchema};
 use crate::log::pace::Pace;
 use crate::log::record::{MAGIC, nanoseconds};
-use crate::log::summary::Found;
+use crate::log::summary::TrailingSummary;
 use crate::log::{linear, summary};
 use crate::losses::{Entry, LossLedger};
 
@@ -186,12 +186,12 @@ impl LogIndex {
         let ledger = LossLedger::new();
         let losses = ledger.of_file(meta.location.as_ref());
         let (indexed, unbelieved) = match summary::read(store, meta).await? {
-            Found::Sound(found) => {
+            TrailingSummary::Sound(found) => {
                 let index = linear::with_gaps(store, meta, *found, &losses).await?;
                 (index, true)
             }
-            Found::Unbelieved => (None, true),
-            Found::Nothing => (None, false),
+            TrailingSummary::Unbelieved => (None, true),
+            TrailingSummary::Nothing => (None, false),
         };
         let index = match indexed {
             Some(index) => index,

@@ -60,7 +60,7 @@ pub(crate) fn check(body: &[u8]) -> Result<(), String> {
 
 /// What is gone through next.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Part {
+enum ParseState {
     Name,
     Entries,
     Key,
@@ -69,20 +69,20 @@ enum Part {
     Rest,
 }
 
-impl Part {
+impl ParseState {
     fn text(self) -> &'static str {
         match self {
-            Part::Name => "a name",
-            Part::Entries => "entries",
-            Part::Key => "a key",
-            Part::Value | Part::Rest => "a value",
+            ParseState::Name => "a name",
+            ParseState::Entries => "entries",
+            ParseState::Key => "a key",
+            ParseState::Value | ParseState::Rest => "a value",
         }
     }
 }
 
 /// Goes through the body of a record, in pieces of any size.
 struct Check {
-    part: Part,
+    part: ParseState,
     /// The bytes of a length, as far as they came.
     length: Vec<u8>,
     /// The text that is gone through, behind its length.
@@ -98,7 +98,7 @@ impl Check {
     /// Of a body of so many bytes.
     fn of(left: u64) -> Self {
         Self {
-            part: Part::Name,
+            part: ParseState::Name,
             length: Vec::new(),
             text: None,
             left,
@@ -108,7 +108,7 @@ impl Check {
     }
 
     fn add(&mut self, mut bytes: &[u8]) -> Result<(), String> {
-        while !bytes.is_empty() && self.part != Part::Rest {
+        while !bytes.is_empty() && self.part != ParseState::Rest {
             bytes = match self.text.take() {
                 Some(text) => self.go_on(text, bytes)?,
                 None => self.begin(bytes)?,
@@ -119,7 +119,7 @@ impl Check {
 
     fn finish(self) -> Result<String, String> {
         match self.part {
-            Part::Rest => Ok(self.name),
+            ParseState::Rest => Ok(self.name),
             part => Err(format!(
                 "expected {}, found the end of the record",
                 part.text()
@@ -144,14 +144,14 @@ impl Check {
             ));
         }
         self.left = room;
-        if self.part == Part::Entries {
+        if self.part == ParseState::Entries {
             self.left = length;
-            self.part = Part::Key;
+            self.part = ParseState::Key;
             self.end_entry();
             return Ok(rest);
         }
         self.left -= length;
-        self.go_on(Text::of(length, self.part == Part::Key), rest)
+        self.go_on(Text::of(length, self.part == ParseState::Key), rest)
     }
 
     /// Takes what there is of a text; what lies behind.
@@ -174,12 +174,12 @@ impl Check {
     /// Takes a text that is complete.
     fn end(&mut self, text: Text) -> Result<(), String> {
         match self.part {
-            Part::Name => {
+            ParseState::Name => {
                 self.name = text.shown;
-                self.part = Part::Entries;
+                self.part = ParseState::Entries;
             }
-            Part::Key => {
-                self.part = Part::Value;
+            ParseState::Key => {
+                self.part = ParseState::Value;
                 let mut is_new = |key| self.keys.len() >= MOST_KEYS || self.keys.insert(key);
                 if text.digest().is_some_and(|key| !is_new(key)) {
                     let shown = text.shown;
@@ -187,7 +187,7 @@ impl Check {
                 }
             }
             _ => {
-                self.part = Part::Key;
+                self.part = ParseState::Key;
                 self.end_entry();
             }
         }
@@ -196,7 +196,7 @@ impl Check {
 
     fn end_entry(&mut self) {
         if self.left == 0 {
-            self.part = Part::Rest;
+            self.part = ParseState::Rest;
         }
     }
 }

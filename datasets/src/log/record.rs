@@ -40,7 +40,7 @@ pub fn parse(opcode: u8, body: &[u8]) -> Result<Record<'_>, String> {
 }
 
 /// A part of a record's body.
-enum Part {
+enum FieldKind {
     /// So many bytes.
     Fixed(usize),
     /// Bytes behind their length in 32 bits.
@@ -53,8 +53,8 @@ enum Part {
 
 /// The parts of a record as far as they hold lengths. The `mcap` crate allocates what a length says, or slices by it,
 /// before it has compared the length with the body.
-fn layout(opcode: u8) -> &'static [Part] {
-    use Part::{Data, Fixed, Text, Texts};
+fn layout(opcode: u8) -> &'static [FieldKind] {
+    use FieldKind::{Data, Fixed, Text, Texts};
     match opcode {
         op::HEADER => &[Text, Text],
         op::SCHEMA => &[Fixed(2), Text, Text, Text],
@@ -72,20 +72,20 @@ fn layout(opcode: u8) -> &'static [Part] {
 }
 
 /// What lies behind these parts; `None` where one of them is not all there.
-fn skip<'a>(parts: &[Part], body: &'a [u8]) -> Option<&'a [u8]> {
+fn skip<'a>(parts: &[FieldKind], body: &'a [u8]) -> Option<&'a [u8]> {
     let mut rest = body;
     for part in parts {
         rest = match part {
-            Part::Fixed(length) => rest.get(*length..)?,
-            Part::Text => text(rest)?.1,
-            Part::Texts => {
+            FieldKind::Fixed(length) => rest.get(*length..)?,
+            FieldKind::Text => text(rest)?.1,
+            FieldKind::Texts => {
                 let (mut texts, behind) = text(rest)?;
                 while !texts.is_empty() {
                     texts = text(texts)?.1;
                 }
                 behind
             }
-            Part::Data => {
+            FieldKind::Data => {
                 let (length, behind) = rest.split_first_chunk::<8>()?;
                 behind.get(usize::try_from(u64::from_le_bytes(*length)).ok()?..)?
             }

@@ -29,7 +29,7 @@ pub(crate) struct Summary {
 }
 
 /// What the end of a file says of a summary.
-pub(crate) enum Found {
+pub(crate) enum TrailingSummary {
     /// There is none, or the file has no end.
     Nothing,
     /// One that is damaged, contradicts the file's size, or does not describe the channels of the file.
@@ -42,19 +42,24 @@ pub(crate) enum Found {
 ///
 /// # Errors
 /// A resource fault when the store fails.
-pub(crate) async fn read(store: &Arc<dyn ObjectStore>, meta: &ObjectMeta) -> Result<Found, Fault> {
+pub(crate) async fn read(
+    store: &Arc<dyn ObjectStore>,
+    meta: &ObjectMeta,
+) -> Result<TrailingSummary, Fault> {
     if meta.size < 2 * MAGIC.len() as u64 + FOOTER {
-        return Ok(Found::Nothing);
+        return Ok(TrailingSummary::Nothing);
     }
     let tail_start = meta.size.saturating_sub(TAIL);
     let tail = fetch(store, meta, tail_start..meta.size).await?;
     let Some(footer) = footer(&tail).filter(|footer| footer.summary_start != 0) else {
-        return Ok(Found::Nothing);
+        return Ok(TrailingSummary::Nothing);
     };
     let window = Window::new(store.clone(), meta.clone(), meta.size);
     let window = window.holding(tail_start, tail);
     let summary = sound(store, meta, &footer, window).await?;
-    Ok(summary.map_or(Found::Unbelieved, |summary| Found::Sound(Box::new(summary))))
+    Ok(summary.map_or(TrailingSummary::Unbelieved, |summary| {
+        TrailingSummary::Sound(Box::new(summary))
+    }))
 }
 
 /// The summary that the footer leads to, where it can be used.

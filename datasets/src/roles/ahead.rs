@@ -12,8 +12,8 @@ use futures::TryStreamExt;
 use futures::stream::BoxStream;
 
 use crate::fault::OrFault;
-use crate::roles::rows::{Known, RoleRows};
-use crate::scan::{Job, ScanMetrics, Wanted, stream};
+use crate::roles::rows::{RoleRows, SessionFacts};
+use crate::scan::{Job, ScanMetrics, ScanRequest, stream};
 use crate::session::LogPart;
 
 /// Memory that reading them takes at most: chunks that do not fit are read by portions.
@@ -27,14 +27,14 @@ pub(super) fn batches<T: LayerRow>(
     messages: Messages,
     part: &Arc<LogPart>,
     topic: &str,
-    known: Known,
+    known: SessionFacts,
     at_once: usize,
 ) -> Result<BoxStream<'static, ScanResult<RecordBatch>>, Fault> {
     let schema = T::layer().schema();
     let columns: Vec<usize> = (0..schema.fields().len()).collect();
     let topics = [topic.to_owned()];
     let rows = RoleRows::new(messages, &topics, known, part, &schema, &columns)?;
-    let units = Wanted {
+    let units = ScanRequest {
         part,
         range: (0, u64::MAX),
         channels: part.channels_of(topic).map(|c| c.id).collect(),
@@ -59,7 +59,7 @@ pub(super) async fn first<T: LayerRow>(
     messages: Messages,
     part: &Arc<LogPart>,
     topic: &str,
-    known: Known,
+    known: SessionFacts,
 ) -> Result<Option<T>, Fault> {
     let mut batches = batches::<T>(messages, part, topic, known, 1)?;
     match batches.try_next().await.or_fault()? {

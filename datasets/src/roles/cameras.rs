@@ -12,7 +12,7 @@ use evermap_schemas::roles::{
 use crate::losses::{Loss, Reason};
 use crate::roles::Topics;
 use crate::roles::ahead::first;
-use crate::roles::rows::Known;
+use crate::roles::rows::SessionFacts;
 use crate::session::{LogPart, Session};
 
 /// The role that names cameras.
@@ -66,10 +66,10 @@ async fn name(part: &Arc<LogPart>, topic: &str, names: &mut CameraNames) -> Resu
     Ok(())
 }
 
-fn known(cameras: &CameraNames) -> Known {
-    Known {
+fn known(cameras: &CameraNames) -> SessionFacts {
+    SessionFacts {
         cameras: cameras.clone(),
-        ..Known::default()
+        ..SessionFacts::default()
     }
 }
 

@@ -5,7 +5,7 @@ use evermap_schemas::rows;
 use futures::TryStreamExt;
 
 use crate::roles::ahead::batches;
-use crate::roles::rows::Known;
+use crate::roles::rows::SessionFacts;
 use crate::session::Session;
 
 /// Messages of a topic that are asked.
@@ -26,7 +26,7 @@ pub(crate) async fn of(session: &Session, role: &str) -> Vec<(String, i64)> {
 async fn of_topic(session: &Session, topic: &str) -> Option<i64> {
     let mut parts = session.parts.iter();
     let part = parts.find(|part| part.channels_of(topic).next().is_some())?;
-    let mut batches = batches::<Delay>(DELAYS, part, topic, Known::default(), FIRST).ok()?;
+    let mut batches = batches::<Delay>(DELAYS, part, topic, SessionFacts::default(), FIRST).ok()?;
     let first = rows::<Delay>(&batches.try_next().await.ok()??).ok()?;
     let between = |delay: &Delay| delay.log_time.0.saturating_sub(delay.stamp.0);
     let mut delays: Vec<i64> = first.iter().map(between).collect();

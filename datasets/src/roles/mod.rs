@@ -37,7 +37,7 @@ use crate::session::{LogPart, Session};
 use cameras::Cameras;
 use mounts::Mounts;
 use robots::RobotOf;
-use rows::{Known, Meant, RoleRows};
+use rows::{Meant, RoleRows, SessionFacts};
 use still::StillOf;
 
 /// Topics that play a role, by session.
@@ -261,7 +261,7 @@ impl LogTable for MessageRole {
         part: &Arc<LogPart>,
         projection: &[usize],
     ) -> Result<Box<dyn RowBuilder>, Fault> {
-        let known = Known {
+        let known = SessionFacts {
             cameras: match self.messages.image {
                 Some(_) => self.names.of(&part.session).await?,
                 None if self.name == cameras::ROLE.name => {

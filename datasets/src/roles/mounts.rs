@@ -24,11 +24,11 @@ const NAMED: usize = 3;
 #[derive(Debug)]
 pub(crate) struct Mounts {
     losses: FileLosses,
-    heard: Mutex<Heard>,
+    heard: Mutex<MountStatements>,
 }
 
 #[derive(Debug, Default)]
-struct Heard {
+struct MountStatements {
     /// By frame: the topic and what it said first.
     first: BTreeMap<String, (String, Mount)>,
     /// By topic, and frame: how it says otherwise.
@@ -52,7 +52,7 @@ impl Mounts {
             return;
         }
         let mut heard = self.heard.lock().unwrap_or_else(PoisonError::into_inner);
-        let Heard {
+        let MountStatements {
             first,
             otherwise,
             circles,

@@ -14,7 +14,7 @@ use crate::fault::OrFault;
 use crate::losses::{Loss, Reason};
 use crate::manifest::Vehicle;
 use crate::roles::ahead::{AT_ONCE, batches};
-use crate::roles::rows::{Known, Meant};
+use crate::roles::rows::{Meant, SessionFacts};
 use crate::session::{LogPart, Session};
 
 /// Messages of odometry that say which frames those of their topic are of. The very first may be sent before its sender
@@ -28,19 +28,19 @@ pub(super) struct RobotOf {
     messages: Messages,
     /// How messages of odometry do.
     odometry: Option<&'static Messages>,
-    sessions: BTreeMap<Arc<str>, Asked>,
+    sessions: BTreeMap<Arc<str>, SessionRobot>,
 }
 
 /// What a session says of its robot.
 #[derive(Debug)]
-struct Asked {
+struct SessionRobot {
     /// The vehicle that its manifest names, if any.
     vehicle: Vehicle,
     /// Files and topics of it that have robots.
     places: Vec<(Arc<LogPart>, String)>,
     /// Those that have odometry of one vehicle, where somebody asked for them.
     odometry: Vec<(Arc<LogPart>, String)>,
-    /// The odometry that is meant, once somebody asked.
+    /// The odometry that is meant, once somebody robot.
     meant: OnceCell<Meant>,
 }
 
@@ -58,9 +58,9 @@ impl RobotOf {
             odometry,
             sessions: sessions
                 .map(|session| {
-                    let mut asked = Asked::of(&messages, role, session);
-                    asked.odometry = places(odometry, role, session);
-                    (session.name.clone(), asked)
+                    let mut robot = SessionRobot::of(&messages, role, session);
+                    robot.odometry = places(odometry, role, session);
+                    (session.name.clone(), robot)
                 })
                 .collect(),
         }
@@ -73,14 +73,14 @@ impl RobotOf {
     /// A user fault where several may be; as reading the log.
     pub async fn of(&self, session: &str) -> Result<Meant, Fault> {
         match self.sessions.get(session) {
-            Some(asked) => {
+            Some(robot) => {
                 let read = || async {
-                    match (asked.places.is_empty(), self.odometry) {
-                        (true, Some(odometry)) => Ok(asked.usual(*odometry).await),
-                        _ => asked.meant(self.messages).await,
+                    match (robot.places.is_empty(), self.odometry) {
+                        (true, Some(odometry)) => Ok(robot.usual(*odometry).await),
+                        _ => robot.meant(self.messages).await,
                     }
                 };
-                asked.meant.get_or_try_init(read).await.cloned()
+                robot.meant.get_or_try_init(read).await.cloned()
             }
             None => Ok(Meant::default()),
         }
@@ -104,11 +104,11 @@ pub(crate) async fn instead(
     let others: Vec<Topic> = others.cloned().collect();
     let mut choices = role.infer(&others);
     choices.retain(|choice| !session.is_silent(&choice.topic));
-    let asked = Asked::of(robots, role.name, session);
-    if choices.is_empty() || asked.places.is_empty() {
+    let robot = SessionRobot::of(robots, role.name, session);
+    if choices.is_empty() || robot.places.is_empty() {
         return Ok(None);
     }
-    let Some(missing) = asked.missing(*robots).await else {
+    let Some(missing) = robot.missing(*robots).await else {
         return Ok(None);
     };
     let names = |names: &mut dyn Iterator<Item = &String>| {
@@ -129,12 +129,12 @@ pub(crate) async fn instead(
 /// where they do, or where reading the role's rows tells.
 pub(crate) async fn unmoved(role: &Role, session: &Session) -> Option<String> {
     let robots = role.messages()?.robots?;
-    let asked = Asked::of(robots, role.name, session);
-    let mut topics = asked.places.iter().map(|(_, topic)| topic);
+    let robot = SessionRobot::of(robots, role.name, session);
+    let mut topics = robot.places.iter().map(|(_, topic)| topic);
     if topics.all(|topic| session.is_silent(topic)) {
         return None;
     }
-    asked.missing(*robots).await
+    robot.missing(*robots).await
 }
 
 /// Whether there is any robot, even if a manifest must say which one is meant.
@@ -142,7 +142,7 @@ fn has_any(robots: &Robots, frame: &str) -> bool {
     !matches!(robots.meant(frame), Ok(None))
 }
 
-impl Asked {
+impl SessionRobot {
     fn of(messages: &Messages, role: &str, session: &Session) -> Self {
         Self {
             vehicle: session.vehicle.clone(),
@@ -176,7 +176,7 @@ impl Asked {
     /// The odometry of the vehicle that is named, where the first messages have it, else that which most of them have. What cannot be read is told where rows are read.
     async fn usual(&self, messages: Messages) -> Meant {
         for (part, topic) in &self.odometry {
-            let batches = batches::<Motion>(messages, part, topic, Known::default(), FIRST);
+            let batches = batches::<Motion>(messages, part, topic, SessionFacts::default(), FIRST);
             let Ok(mut batches) = batches else { continue };
             let Ok(Some(batch)) = batches.try_next().await else {
                 continue;
@@ -213,7 +213,8 @@ impl Asked {
     ) -> Result<Robots, Fault> {
         let mut robots = Robots::default();
         for (part, topic) in &self.places {
-            let mut batches = batches::<Motion>(messages, part, topic, Known::default(), AT_ONCE)?;
+            let mut batches =
+                batches::<Motion>(messages, part, topic, SessionFacts::default(), AT_ONCE)?;
             while !enough(&robots, self.vehicle.frame())
                 && let Some(batch) = batches.try_next().await.or_fault()?
             {
@@ -266,6 +267,10 @@ fn may_tell(robots: &Messages, topic: &Topic) -> bool {
 pub(crate) fn matter(roles: &[Role], session: &Session) -> bool {
     roles.iter().any(|role| {
         let robots = role.messages().and_then(|messages| messages.robots);
-        robots.is_some_and(|robots| !Asked::of(robots, role.name, session).places.is_empty())
+        robots.is_some_and(|robots| {
+            !SessionRobot::of(robots, role.name, session)
+                .places
+                .is_empty()
+        })
     })
 }

@@ -24,7 +24,7 @@ use crate::session::LogPart;
 pub(crate) struct RoleRows {
     role: Messages,
     part: Arc<LogPart>,
-    known: Known,
+    known: SessionFacts,
     schema: SchemaRef,
     projection: Vec<usize>,
     topics: Vec<TopicMessages>,
@@ -34,7 +34,7 @@ pub(crate) struct RoleRows {
 
 /// What is known of a session before rows are made of its messages, where a role asks for it.
 #[derive(Debug, Clone, Default)]
-pub(crate) struct Known {
+pub(crate) struct SessionFacts {
     /// What its cameras are called.
     pub cameras: CameraNames,
     /// The odometry that is meant, of those among transforms.
@@ -69,11 +69,11 @@ struct TopicMessages {
     message_type: MessageType,
     names: Vec<String>,
     decoder: Decoder,
-    taken: Vec<Taken>,
+    taken: Vec<KeptMessage>,
 }
 
 /// What is kept of a message beside its decoded members.
-struct Taken {
+struct KeptMessage {
     order: usize,
     log_time: i64,
     place: u64,
@@ -86,7 +86,7 @@ impl RoleRows {
     pub fn new(
         role: Messages,
         topics: &[String],
-        known: Known,
+        known: SessionFacts,
         part: &Arc<LogPart>,
         schema: &SchemaRef,
         projection: &[usize],
@@ -135,7 +135,7 @@ impl RoleRows {
     }
 
     /// Counts the transforms of a message that move the vehicle as well, but in another frame than the one that is read.
-    fn lose_other_parents(&self, taken: &Taken, topic: &str, message: &Message<'_>) {
+    fn lose_other_parents(&self, taken: &KeptMessage, topic: &str, message: &Message<'_>) {
         if self.known.robot.motion.is_none() {
             return;
         }
@@ -204,7 +204,7 @@ impl RowBuilder for RoleRows {
             .decoder
             .push(message.payload)
             .map_err(|error| error.to_string())?;
-        source.taken.push(Taken {
+        source.taken.push(KeptMessage {
             order: self.pushed,
             log_time: message.head.log_time,
             place: message.block.file_offset + message.at,
@@ -222,12 +222,12 @@ impl RowBuilder for RoleRows {
     /// Twice what is decoded: rows hold much the same.
     fn bytes(&self) -> usize {
         let decoded: usize = self.topics.iter().map(|s| s.decoder.bytes()).sum();
-        2 * decoded + self.pushed * size_of::<Taken>()
+        2 * decoded + self.pushed * size_of::<KeptMessage>()
     }
 
     fn finish(&mut self) -> Result<Vec<RecordBatch>, Fault> {
         self.pushed = 0;
-        let mut taken: Vec<(Taken, usize, usize)> = Vec::new();
+        let mut taken: Vec<(KeptMessage, usize, usize)> = Vec::new();
         let mut members = Vec::new();
         for (topic, messages) in self.topics.iter_mut().enumerate() {
             members.push(messages.members()?);

@@ -16,7 +16,7 @@ use tokio::sync::OnceCell;
 
 use crate::fault::OrFault;
 use crate::roles::ahead::{AT_ONCE, batches};
-use crate::roles::rows::Known;
+use crate::roles::rows::SessionFacts;
 use crate::session::{LogPart, Session};
 
 /// All frames that a topic has are among so many of its transforms in a file, if none of these is still.
@@ -27,12 +27,12 @@ const ENOUGH: usize = 10_000;
 pub(super) struct StillOf {
     /// How messages become the transforms that they send.
     messages: Messages,
-    sessions: BTreeMap<Arc<str>, Asked>,
+    sessions: BTreeMap<Arc<str>, SessionStillFrames>,
 }
 
 /// What a session says of its frames.
 #[derive(Debug)]
-struct Asked {
+struct SessionStillFrames {
     topics: Vec<String>,
     parts: Vec<Arc<LogPart>>,
     /// Once somebody asked.
@@ -42,7 +42,7 @@ struct Asked {
 impl StillOf {
     /// Those of a role; its topics' messages become transforms so.
     pub fn new(messages: Messages, role: &str, sessions: &[Session]) -> Self {
-        let asked = |session: &Session| Asked {
+        let asked = |session: &Session| SessionStillFrames {
             topics: session.roles.topics(role).to_vec(),
             parts: session.parts.clone(),
             found: OnceCell::new(),
@@ -71,7 +71,7 @@ impl StillOf {
     }
 }
 
-impl Asked {
+impl SessionStillFrames {
     async fn read(&self, messages: Messages) -> Result<Arc<StillFrames>, Fault> {
         let mut still = StillFrames::default();
         // Backwards, so that `/tf_static` tells what is fixed before `/tf` is read for it.
@@ -95,7 +95,7 @@ async fn add(
     part: &Arc<LogPart>,
     topic: &str,
 ) -> Result<(), Fault> {
-    let known = Known::default();
+    let known = SessionFacts::default();
     let mut batches = batches::<SentTransform>(messages, part, topic, known, AT_ONCE)?;
     let mut looked_at = 0;
     while (looked_at < ENOUGH || still.is_open())

@@ -18,7 +18,7 @@ use crate::manifest::{Roles, Vehicle, of_role};
 use crate::roles::ahead::first;
 use crate::roles::cameras;
 use crate::roles::robots::tells;
-use crate::roles::rows::Known;
+use crate::roles::rows::SessionFacts;
 use crate::session::{LogPart, Session};
 
 /// Topics that are asked for their vehicle; of a forged log that has more, the others are not.
@@ -259,7 +259,7 @@ async fn first_row<T: LayerRow>(
             continue;
         }
         // What cannot be read of a topic is told where its rows are read.
-        let found = first::<T>(*messages, part, topic, Known::default()).await;
+        let found = first::<T>(*messages, part, topic, SessionFacts::default()).await;
         if let Ok(Some(found)) = found {
             return Some(found);
         }

@@ -30,7 +30,7 @@ pub use rows::{MessageAt, RowBuilder};
 pub use source::scanned;
 pub use table::{LogTable, McapTable};
 
-pub(crate) use plan::Wanted;
+pub(crate) use plan::ScanRequest;
 pub(crate) use records::RecordTable;
 pub(crate) use rows::projected;
 pub(crate) use stream::{Job, ScanMetrics, stream};

@@ -22,7 +22,7 @@ pub(crate) struct PlannedUnit {
 }
 
 /// What a scan wants from a file.
-pub(crate) struct Wanted<'a> {
+pub(crate) struct ScanRequest<'a> {
     pub part: &'a LogPart,
     /// Bytes of the file whose units are to be read.
     pub range: (u64, u64),
@@ -33,7 +33,7 @@ pub(crate) struct Wanted<'a> {
     pub schema: &'a SchemaRef,
 }
 
-impl Wanted<'_> {
+impl ScanRequest<'_> {
     /// The units with messages.
     pub fn units(&self) -> Vec<PlannedUnit> {
         let candidates: Vec<(usize, Option<u16>)> = self.candidates();
@@ -83,7 +83,7 @@ impl Wanted<'_> {
         let pruning = PruningPredicateBuilder::new()
             .with_file_schema(self.schema.clone())
             .try_build(predicate.clone());
-        let statistics = Known {
+        let statistics = CandidateStatistics {
             part: self.part,
             candidates,
         };
@@ -94,12 +94,12 @@ impl Wanted<'_> {
 }
 
 /// What the index says about the rows of each candidate.
-struct Known<'a> {
+struct CandidateStatistics<'a> {
     part: &'a LogPart,
     candidates: &'a [(usize, Option<u16>)],
 }
 
-impl Known<'_> {
+impl CandidateStatistics<'_> {
     fn times(&self, time: impl Fn(&Unit) -> i64) -> ArrayRef {
         let times = self
             .candidates
@@ -128,7 +128,7 @@ impl Known<'_> {
     }
 }
 
-impl PruningStatistics for Known<'_> {
+impl PruningStatistics for CandidateStatistics<'_> {
     fn min_values(&self, column: &Column) -> Option<ArrayRef> {
         self.bound(&column.name, |unit| unit.start_time)
     }

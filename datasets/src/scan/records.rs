@@ -51,7 +51,7 @@ record! {
 }
 
 /// What is kept of a record.
-enum Held {
+enum LogRecord {
     /// What metadata says, and where it lies in the file.
     Metadata(u64, mcap::records::Metadata),
     /// What stands before an attachment's bytes, and these. Where they are not asked for there are none, nor is the
@@ -60,7 +60,7 @@ enum Held {
 }
 
 /// The columns of a table, from some records of a file.
-type Columns = Arc<dyn Fn(&LogPart, Vec<Held>) -> Result<Vec<ArrayRef>, Fault> + Send + Sync>;
+type Columns = Arc<dyn Fn(&LogPart, Vec<LogRecord>) -> Result<Vec<ArrayRef>, Fault> + Send + Sync>;
 
 /// A table of records that are no messages.
 #[derive(Clone)]
@@ -167,8 +167,8 @@ impl LogTable for RecordTable {
     }
 }
 
-fn attachment(part: &LogPart, held: Held) -> Option<Attachment> {
-    let Held::Attachment(head, data) = held else {
+fn attachment(part: &LogPart, held: LogRecord) -> Option<Attachment> {
+    let LogRecord::Attachment(head, data) = held else {
         return None;
     };
     Some(Attachment {
@@ -182,24 +182,24 @@ fn attachment(part: &LogPart, held: Held) -> Option<Attachment> {
     })
 }
 
-fn metadata(records: Vec<Held>) -> impl Iterator<Item = (u64, mcap::records::Metadata)> {
+fn metadata(records: Vec<LogRecord>) -> impl Iterator<Item = (u64, mcap::records::Metadata)> {
     records.into_iter().filter_map(|record| match record {
-        Held::Metadata(offset, found) => Some((offset, found)),
-        Held::Attachment(..) => None,
+        LogRecord::Metadata(offset, found) => Some((offset, found)),
+        LogRecord::Attachment(..) => None,
     })
 }
 
 /// What is kept of a record, all of whose body is there.
-fn held(unit: &Unit, opcode: u8, body: &[u8]) -> Result<Held, String> {
+fn held(unit: &Unit, opcode: u8, body: &[u8]) -> Result<LogRecord, String> {
     match (unit.kind, opcode) {
         (UnitKind::Attachment, op::ATTACHMENT) => {
             let (head, data) = AttachmentHead::whole(body)?;
-            return Ok(Held::Attachment(head, data.to_vec()));
+            return Ok(LogRecord::Attachment(head, data.to_vec()));
         }
         (UnitKind::Metadata, op::METADATA) => {
             metadata::check(body)?;
             if let Record::Metadata(found) = parse(opcode, body)? {
-                return Ok(Held::Metadata(unit.offset, found));
+                return Ok(LogRecord::Metadata(unit.offset, found));
             }
         }
         _ => {}
@@ -214,7 +214,7 @@ struct RecordRows {
     projection: Vec<usize>,
     /// Whether heads of records will do.
     heads: bool,
-    records: Vec<Held>,
+    records: Vec<LogRecord>,
     bytes: usize,
 }
 
@@ -227,7 +227,7 @@ impl RecordRows {
             )
         })?;
         self.bytes += size_of::<Attachment>() + head.name.len() + head.media_type.len();
-        self.records.push(Held::Attachment(head, Vec::new()));
+        self.records.push(LogRecord::Attachment(head, Vec::new()));
         Ok(())
     }
 }

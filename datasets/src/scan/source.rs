@@ -24,7 +24,7 @@ use futures::FutureExt;
 use object_store::ObjectStore;
 
 use crate::fault::external;
-use crate::scan::plan::{PlannedUnit, Wanted};
+use crate::scan::plan::{PlannedUnit, ScanRequest};
 use crate::scan::stream::{Job, ScanMetrics, stream};
 use crate::scan::table::LogTable;
 use crate::session::LogPart;
@@ -210,7 +210,7 @@ impl McapSource {
                 .collect(),
             None => {
                 let channels = part.index.channels.keys().copied();
-                Wanted {
+                ScanRequest {
                     part: &part,
                     range,
                     channels: channels.filter(|channel| rows.wants(*channel)).collect(),

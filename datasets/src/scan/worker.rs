@@ -37,7 +37,7 @@ pub(crate) struct Worker {
     pub topic: String,
     /// Units that wait to be opened.
     pub waiting: Units,
-    pub current: Option<Open>,
+    pub current: Option<OpenUnit>,
     /// What is left of a chunk that does not fit into memory.
     pub portions: Option<Box<Portions>>,
     pub metrics: ScanMetrics,
@@ -47,7 +47,7 @@ pub(crate) struct Worker {
 fn push(
     rows: &mut dyn RowBuilder,
     part: &LogPart,
-    open: &Open,
+    open: &OpenUnit,
     message: &Message,
 ) -> Result<(), String> {
     let Some(channel) = part.index.channels.get(&message.head.channel) else {
@@ -73,7 +73,7 @@ fn push(
 }
 
 /// A unit that is being read, or a portion of one.
-pub(crate) struct Open {
+pub(crate) struct OpenUnit {
     unit: Unit,
     block: Block,
     messages: Vec<Message>,
@@ -88,7 +88,7 @@ pub(crate) struct Open {
     _memory: Option<MemoryReservation>,
 }
 
-impl Open {
+impl OpenUnit {
     fn new(unit: Unit, block: Block, messages: Vec<Message>) -> Self {
         let mut open = Self {
             unit,
@@ -203,7 +203,7 @@ impl Worker {
             let (losses, lost) = (&self.part.losses, contents.lost);
             losses.note(Reason::BadRecord, unit.offset, lost, "inside a chunk");
         }
-        let mut open = Open::new(unit, block, contents.messages);
+        let mut open = OpenUnit::new(unit, block, contents.messages);
         open.shares = open.wanted() >= open.block.bytes.len() / 2;
         self.current = Some(open);
     }
@@ -222,9 +222,9 @@ impl Worker {
             messages,
             memory,
         } = portion;
-        self.current = Some(Open {
+        self.current = Some(OpenUnit {
             _memory: memory,
-            ..Open::new(portions.unit().clone(), block, messages)
+            ..OpenUnit::new(portions.unit().clone(), block, messages)
         });
         self.portions = Some(portions);
         Ok(())
@@ -258,7 +258,7 @@ impl Worker {
     }
 
     /// Notes what was lost in a unit, once it is done.
-    fn close(&self, open: Open) {
+    fn close(&self, open: OpenUnit) {
         if open.lost.count > 0 {
             self.part.losses.note_topic(
                 Reason::Undecodable,

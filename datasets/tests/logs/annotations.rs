@@ -6,7 +6,9 @@ use std::path::Path;
 
 use crate::common::{open, rows};
 use evermap_datasets::Reason;
-use evermap_messages::annotation::{Anchor, Annotation, Drawn, Geometry, NAME, OnImage, SCHEMA};
+use evermap_messages::annotation::{
+    Anchor, Annotation, DrawnPixels, Geometry, NAME, OnImage, SCHEMA,
+};
 use evermap_recording::annotations::{AnnotationLog, parts};
 use evermap_schemas::roles::{self, Role};
 use evermap_schemas::rows as typed;
@@ -62,7 +64,7 @@ fn painted(number: u64) -> Annotation {
             session: "monday".into(),
             stamp_ns: 1_600_000_000_000_000_001,
             camera: "front".into(),
-            drawn: Some(Drawn {
+            drawn: Some(DrawnPixels {
                 shape: "polyline".into(),
                 points: vec![[1.5, 2.0], [30.0, 4.25]],
                 brush_px: Some(12.0),

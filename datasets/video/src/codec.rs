@@ -13,7 +13,7 @@ pub enum Codec {
 
 /// What a unit of the bytes is, as far as it matters where decoding can begin.
 #[derive(PartialEq, Eq)]
-enum Part {
+enum NalKind {
     /// A sequence parameter set: size and profile.
     Parameters,
     /// Pixels of a picture that refers to none before it.
@@ -47,10 +47,10 @@ impl Codec {
         let mut parameters = false;
         for unit in units(frame) {
             match self.part(unit[0]) {
-                Part::Parameters => parameters = true,
-                Part::Key => return parameters,
-                Part::Other => return false,
-                Part::Aside => {}
+                NalKind::Parameters => parameters = true,
+                NalKind::Key => return parameters,
+                NalKind::Other => return false,
+                NalKind::Aside => {}
             }
         }
         false
@@ -58,22 +58,22 @@ impl Codec {
 
     /// Whether a picture of it refers to none before it.
     pub(crate) fn has_key(self, frame: &[u8]) -> bool {
-        units(frame).any(|unit| self.part(unit[0]) == Part::Key)
+        units(frame).any(|unit| self.part(unit[0]) == NalKind::Key)
     }
 
-    fn part(self, head: u8) -> Part {
+    fn part(self, head: u8) -> NalKind {
         match self {
             Self::H264 => match head & 0x1f {
-                7 => Part::Parameters,
-                5 => Part::Key,
-                1..=4 => Part::Other,
-                _ => Part::Aside,
+                7 => NalKind::Parameters,
+                5 => NalKind::Key,
+                1..=4 => NalKind::Other,
+                _ => NalKind::Aside,
             },
             Self::H265 => match (head >> 1) & 0x3f {
-                33 => Part::Parameters,
-                16..=21 => Part::Key,
-                0..=31 => Part::Other,
-                _ => Part::Aside,
+                33 => NalKind::Parameters,
+                16..=21 => NalKind::Key,
+                0..=31 => NalKind::Other,
+                _ => NalKind::Aside,
             },
         }
     }

@@ -17,15 +17,15 @@ pub(crate) struct Pictures {
     sequences: BTreeMap<u32, Sequence>,
     sets: BTreeMap<u32, Set>,
     /// `None` where a sequence begins, and behind a head that is not understood.
-    held: Option<Held>,
+    held: Option<PictureBuffer>,
     /// Whether pictures are left out that are shown before the last key frame, and refer to some before it.
     skips_leading: bool,
 }
 
 /// Pictures that the next one may refer to.
 #[derive(Debug)]
-struct Held {
-    places: Vec<i64>,
+struct PictureBuffer {
+    orders: Vec<i64>,
     /// That of the last picture which all later ones may refer to.
     base: i64,
 }
@@ -86,7 +86,7 @@ impl Set {
 
 /// What the head of a picture's first slice says.
 struct Head {
-    /// The lowest bits of its place in the order in which pictures are shown, and how many.
+    /// The lowest bits of its order count, its place among pictures as they are shown, and how many.
     lowest: i64,
     bits: u32,
     references: Vec<Reference>,
@@ -133,8 +133,8 @@ impl Pictures {
             return Ok(());
         };
         if begins {
-            self.held = Some(Held {
-                places: vec![head.lowest],
+            self.held = Some(PictureBuffer {
+                orders: vec![head.lowest],
                 base: head.lowest,
             });
             return Ok(());
@@ -157,13 +157,13 @@ impl Pictures {
         bits.skip(if sequence.separate_planes { 2 } else { 0 })?;
         let mut head = Head {
             lowest: 0,
-            bits: sequence.place_bits,
+            bits: sequence.order_bits,
             references: Vec::new(),
         };
         if kind.is_at_zero() {
             return Some(head);
         }
-        head.lowest = i64::from(bits.number(sequence.place_bits)?);
+        head.lowest = i64::from(bits.number(sequence.order_bits)?);
         let sets = &sequence.references;
         let short = match bits.flag()? {
             false => References::read(&mut bits, sets, sets.len())?,
@@ -179,33 +179,33 @@ impl Pictures {
     }
 }
 
-impl Held {
+impl PictureBuffer {
     /// Adds a picture, and forgets those that it does not name.
     fn add(&mut self, head: &Head, is_base: bool) -> Result<(), String> {
         let round = 1i64 << head.bits;
         let picture = Picture {
-            place: self.place(head.lowest, round),
+            order: self.order(head.lowest, round),
             round,
         };
-        if self.places.contains(&picture.place) {
+        if self.orders.contains(&picture.order) {
             return Err(AGAIN.to_owned());
         }
-        let is = |reference: &Reference, place: &i64| picture.is(reference, *place);
+        let is = |reference: &Reference, order: &i64| picture.is(reference, *order);
         let mut needed = head.references.iter().filter(|reference| reference.used);
-        if needed.any(|reference| !self.places.iter().any(|place| is(reference, place))) {
+        if needed.any(|reference| !self.orders.iter().any(|order| is(reference, order))) {
             return Err(MISSING.to_owned());
         }
-        let named = |place: &i64| head.references.iter().any(|named| is(named, place));
-        self.places.retain(named);
-        self.places.push(picture.place);
+        let named = |order: &i64| head.references.iter().any(|named| is(named, order));
+        self.orders.retain(named);
+        self.orders.push(picture.order);
         if is_base {
-            self.base = picture.place;
+            self.base = picture.order;
         }
         Ok(())
     }
 
-    /// The place of which these are the lowest bits: the one next to that of the base (8-1).
-    fn place(&self, lowest: i64, round: i64) -> i64 {
+    /// The order count of which these are the lowest bits: the one next to that of the base (8-1).
+    fn order(&self, lowest: i64, round: i64) -> i64 {
         let base = self.base.rem_euclid(round);
         let high = self.base - base;
         if lowest < base && base - lowest >= round / 2 {

@@ -15,7 +15,7 @@ use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
 use crate::fold::StateRow;
-use crate::kernel::{Folding, Kernel, Mapper, Open, Prepare, Rows};
+use crate::kernel::{Folding, GroupOpener, Kernel, Mapper, Prepare, Rows};
 use crate::sides::{runs_of_equal, same_group, site_of};
 use crate::{Emit, Entry, Key, Port, Shape, Sides};
 
@@ -202,7 +202,7 @@ impl Worker for MapWorker<'_> {
 }
 
 struct Groups {
-    open: Open,
+    open: GroupOpener,
     columns: &'static [&'static str],
     ports: Vec<Port>,
     /// What no group has taken with it.

@@ -9,7 +9,7 @@ use crate::{Emit, Sides};
 pub(crate) type Prepare<T> = Box<dyn Fn(&Sides) -> Result<T, Fault> + Send + Sync>;
 
 /// Begins with a key, given the tables of its side ports to keep.
-pub(crate) type Open = Box<dyn Fn(Sides) -> Result<Box<dyn Rows>, Fault> + Send + Sync>;
+pub(crate) type GroupOpener = Box<dyn Fn(Sides) -> Result<Box<dyn Rows>, Fault> + Send + Sync>;
 
 /// A Map at work: any rows of its site to rows.
 pub(crate) type Mapper =
@@ -20,7 +20,7 @@ pub(crate) enum Kernel {
     /// Any rows to rows.
     Map(Prepare<Mapper>),
     /// One key's ordered rows to rows.
-    Group(Open),
+    Group(GroupOpener),
     /// Rows to states by key, states to one row.
     Fold(Prepare<Box<dyn Folding>>),
 }

@@ -111,7 +111,7 @@ pub fn part(image: &[u8], around: Rectangle) -> Result<Vec<u8>, Fault> {
     let step = (columns.1 - columns.0)
         .max(rows.1 - rows.0)
         .div_ceil(MOST_PX);
-    let frame = Frame::new(around, [columns.0, rows.0], step);
+    let frame = Border::new(around, [columns.0, rows.0], step);
     let shown = |(first, end): (usize, usize)| (first..end).step_by(step);
     let (pixels, _) = rgb.data.as_chunks::<3>();
     let mut part = Vec::new();
@@ -127,13 +127,13 @@ pub fn part(image: &[u8], around: Rectangle) -> Result<Vec<u8>, Fault> {
 }
 
 /// The line around a rectangle in what is shown, two pixels wide: it hides nothing of what the rectangle has.
-struct Frame {
+struct Border {
     /// Columns and rows of the line's middle.
     first: [f64; 2],
     last: [f64; 2],
 }
 
-impl Frame {
+impl Border {
     fn new(
         Rectangle([left, top, right, bottom]): Rectangle,
         first: [usize; 2],

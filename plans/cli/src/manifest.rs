@@ -28,7 +28,7 @@ const WIDTH: usize = 110;
 
 #[derive(Template)]
 #[template(path = "manifest.yaml", escape = "none")]
-struct Written {
+struct ManifestText {
     sessions: Vec<WrittenSession>,
     roles: Vec<WrittenRole>,
     vehicle: Option<String>,
@@ -86,7 +86,7 @@ pub async fn written(
         })
     };
     let vehicle_doc = parameter(&registry, "vehicle_frame");
-    let written = Written {
+    let written = ManifestText {
         sessions: dataset.sessions.iter().map(session).collect(),
         roles: roles_of(dataset),
         vehicle: frames.vehicle().map(yaml),

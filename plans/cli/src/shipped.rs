@@ -173,7 +173,7 @@ mod tests {
             again.tests = plan.tests.clone();
             again.warnings = plan.warnings.clone();
             for (again, step) in again.steps.iter_mut().zip(&plan.steps) {
-                (again.position, again.body_place) = (step.position, step.body_place);
+                (again.position, again.body_location) = (step.position, step.body_location);
             }
             assert_eq!(again, plan);
         }

@@ -215,7 +215,7 @@ async fn mapped(runtime: &RuntimeEnv, manifest: &Manifest) -> Result<Recordings,
 }
 
 /// Hears, now and then while logs are read, which share of their bytes is, from 0 to 1.
-pub type Told<'a> = &'a mut (dyn FnMut(f64) + Send);
+pub type OnProgress<'a> = &'a mut (dyn FnMut(f64) + Send);
 
 /// How often is told how far reading is.
 const TOLD_EVERY: Duration = Duration::from_secs(1);
@@ -230,7 +230,7 @@ pub async fn read(
     store: &Store,
     remembered: &Contents,
     sessions: &[Session],
-    told: Option<Told<'_>>,
+    told: Option<OnProgress<'_>>,
 ) -> Result<Vec<String>, Fault> {
     let (bytes, kept_in) = (AtomicU64::new(0), told.is_some().then_some(store));
     let asked = sessions.iter();

@@ -20,7 +20,7 @@ use self::host::{Surroundings, by_path};
 pub use self::manifest::located;
 use self::manifest::{beside, seen_from_plan};
 use self::vehicle::Vehicles;
-pub use crate::fingerprint::Told;
+pub use crate::fingerprint::OnProgress;
 use crate::fingerprint::{self, Believe};
 use crate::map::make;
 use crate::map::store::Store;
@@ -208,7 +208,7 @@ impl Prepared {
         map: &str,
         sessions: &[String],
         manifest: Option<&Manifest>,
-        told: Option<Told<'_>>,
+        told: Option<OnProgress<'_>>,
     ) -> Result<Self, Refusal> {
         let mut parsed = parse(plan, registry)?;
         let read;

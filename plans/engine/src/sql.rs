@@ -24,10 +24,10 @@ mod overflow;
 mod paused;
 mod pool;
 mod size;
+mod statement_text;
 mod term;
 mod volatile;
 mod widths;
-mod written;
 mod zone;
 
 use std::collections::HashSet;
@@ -72,9 +72,9 @@ use crate::sql::named::named_apart;
 use crate::sql::overflow::check_overflow;
 use crate::sql::paused::Pauses;
 use crate::sql::pool::SharedPool;
+use crate::sql::statement_text::StatementText;
 use crate::sql::term::go_on;
 use crate::sql::widths::check_widths;
-use crate::sql::written::Written;
 use crate::temporary::Spills;
 
 pub use missing::{NO_TABLE, Unlisted, explained, no_table, table_of};
@@ -372,10 +372,10 @@ async fn plan_of_one(
     state: &SessionState,
     mut statement: Statement,
 ) -> DataFusionResult<LogicalPlan> {
-    let mut written = Written::default();
+    let mut written = StatementText::default();
     if let Some(sql) = sql_of(&mut statement) {
         check_expanded(sql).map_err(external)?;
-        written = Written::of(sql).map_err(external)?;
+        written = StatementText::of(sql).map_err(external)?;
         check_misread(sql).map_err(external)?;
         associated(sql);
         balanced(sql);

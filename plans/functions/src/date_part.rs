@@ -60,14 +60,14 @@ impl Default for DatePart {
 
 /// What a duration is counted in.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Part {
+enum DurationUnit {
     /// Seconds, with their fraction.
     Epoch,
     /// Whole units of so many nanoseconds.
     Whole(i64),
 }
 
-impl Part {
+impl DurationUnit {
     /// `None` for a name that no part of a duration has.
     fn of(name: &str) -> Option<Self> {
         let name = name.trim_matches(['\'', '"']);
@@ -150,8 +150,8 @@ fn part(given: Option<&ScalarValue>) -> Option<&str> {
 }
 
 /// The part of a duration.
-fn of_duration(name: &str) -> Result<Part> {
-    match Part::of(name) {
+fn of_duration(name: &str) -> Result<DurationUnit> {
+    match DurationUnit::of(name) {
         Some(part) => Ok(part),
         None => plan_err!(
             "date_part: expected week, day, hour, minute, second, millisecond, microsecond, nanosecond or epoch of a duration, found {}",
@@ -206,7 +206,7 @@ impl ScalarUDFImpl for DatePart {
         let column = || value.to_array(rows);
         let found = match value.data_type() {
             DataType::Duration(unit) => Some(of_duration(name)?.of_durations(&column()?, unit)?),
-            DataType::Interval(_) => match Part::of(name) {
+            DataType::Interval(_) => match DurationUnit::of(name) {
                 Some(part) => part.of_intervals(&column()?)?,
                 None => None,
             },

@@ -32,7 +32,7 @@ pub(crate) const DECLARATIONS: [Declaration; 1] = [Declaration {
         ("y", Kind::Number, "the point along y, m"),
         ("z", Kind::Number, "the point along z, m"),
     ]],
-    result: Place::data_type,
+    result: GeodeticPosition::data_type,
     example: [
         "SELECT round(geodetic(52.25, 10.5, 80, pi() / 2, 100, 0, 0)['latitude_deg'], 6)",
         "52.250899",
@@ -42,7 +42,7 @@ pub(crate) const DECLARATIONS: [Declaration; 1] = [Declaration {
 
 evermap_schemas::record! {
     /// A place on earth.
-    pub struct Place {
+    pub struct GeodeticPosition {
         /// North is positive.
         latitude_deg: f64 ["deg", "WGS 84"],
         /// East is positive.
@@ -61,7 +61,7 @@ fn placed(columns: &[ArrayRef]) -> Result<ArrayRef> {
             height_m,
         };
         let place = MapOnEarth::new(origin, heading_rad).geodetic([x, y, z]);
-        Some(Place {
+        Some(GeodeticPosition {
             latitude_deg: place.latitude_deg,
             longitude_deg: place.longitude_deg,
             height_m: place.height_m,

@@ -63,7 +63,7 @@ impl ScalarUDFImpl for Related {
         let [graphs, first, relation, second] = columns.as_slice() else {
             return plan_err!("related expects (graph, class, relation, class)");
         };
-        let asked = Asked {
+        let asked = RelationColumns {
             first: first.as_string(),
             relation: relation.as_string(),
             second: second.as_string(),
@@ -90,13 +90,13 @@ fn documentation() -> Documentation {
 }
 
 /// What is asked of each row.
-struct Asked<'a> {
+struct RelationColumns<'a> {
     first: &'a StringArray,
     relation: &'a StringArray,
     second: &'a StringArray,
 }
 
-impl Asked<'_> {
+impl RelationColumns<'_> {
     fn related(&self, column: &ArrayRef) -> Result<BooleanArray> {
         let graphs = Graphs::of(column)?;
         let geometry = graphs.geometry()?;

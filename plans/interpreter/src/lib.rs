@@ -56,7 +56,7 @@ pub struct Table {
 
 /// What a call gave.
 #[derive(Debug, Clone)]
-pub struct Made {
+pub struct CallResult {
     /// The rows, with the columns and types that the function gave them.
     pub rows: Table,
     /// What the function says that it left out, by reason.
@@ -80,7 +80,7 @@ impl Function {
     ///
     /// # Errors
     /// A user fault for another environment, for what the function raises, and for what is no table.
-    pub fn call(&self, environment: &Environment, tables: &[Table]) -> Result<Made, Fault> {
+    pub fn call(&self, environment: &Environment, tables: &[Table]) -> Result<CallResult, Fault> {
         let mut worker = pool::take(self)?;
         if worker.environment != *environment {
             return Err(Fault::user(format!(

@@ -10,7 +10,7 @@ use evermap_schemas::Fault;
 use serde::Deserialize;
 use serde_json::{Value, json};
 
-use crate::{Environment, Function, INTERPRETER, Made, Table};
+use crate::{CallResult, Environment, Function, INTERPRETER, Table};
 
 /// What the interpreter runs.
 const PROGRAM: &str = include_str!("worker.py");
@@ -35,7 +35,7 @@ pub(crate) struct Worker {
 
 /// An answer, with the number of its request.
 #[derive(Deserialize)]
-struct Numbered {
+struct NumberedAnswer {
     number: u64,
     #[serde(flatten)]
     answer: Answer,
@@ -93,10 +93,14 @@ impl Worker {
     }
 
     /// Calls the function. Where this fails the worker is not to be used again.
-    pub(crate) fn call(&mut self, function: &Function, tables: &[Table]) -> Result<Made, Fault> {
+    pub(crate) fn call(
+        &mut self,
+        function: &Function,
+        tables: &[Table],
+    ) -> Result<CallResult, Fault> {
         let streams = tables.iter().map(stream).collect::<Result<Vec<_>, _>>()?;
         match self.ask(json!({"tables": function.ports}), &streams)? {
-            Answer::Skipped(skipped) => Ok(Made {
+            Answer::Skipped(skipped) => Ok(CallResult {
                 rows: self.table().map_err(|error| self.broken(&error))?,
                 skipped,
             }),
@@ -108,7 +112,7 @@ impl Worker {
     fn ask(&mut self, mut header: Value, tables: &[Vec<u8>]) -> Result<Answer, Fault> {
         self.number += 1;
         header["number"] = self.number.into();
-        let Numbered { number, answer } = self
+        let NumberedAnswer { number, answer } = self
             .send(&header, tables)
             .and_then(|()| self.header())
             .map_err(|error| self.ended(&error))?;
@@ -137,7 +141,7 @@ impl Worker {
         pipe.flush()
     }
 
-    fn header(&mut self) -> io::Result<Numbered> {
+    fn header(&mut self) -> io::Result<NumberedAnswer> {
         let mut length = [0; 4];
         self.answers.read_exact(&mut length)?;
         let length = u32::from_le_bytes(length);

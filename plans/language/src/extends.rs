@@ -29,16 +29,16 @@ fn composed(
     let Some(extends) = plan.take("extends") else {
         if let Some(drop) = plan.take("drop") {
             let message = "`drop` is for steps of a plan that this one `extends`";
-            faults.error(drop.place, message);
+            faults.error(drop.location, message);
         }
         return Some(plan);
     };
     let name = extends.value.text("`extends`", faults)?;
-    let place = extends.value.place;
+    let location = extends.value.location;
     let base = match host.plan(name, &source.origin) {
         Ok(base) => base,
         Err(error) => {
-            faults.error(place, one_line(&error));
+            faults.error(location, one_line(&error));
             return None;
         }
     };
@@ -47,7 +47,7 @@ fn composed(
         let names = chain.iter().chain([&base.origin]);
         let path: Vec<String> = names.map(|origin| quoted(origin)).collect();
         let message = format!("plans extend each other: {}", path.join(" extends "));
-        faults.error(place, message);
+        faults.error(location, message);
         return None;
     }
     let base = composed(&base, host, chain, faults)?;
@@ -72,7 +72,7 @@ fn laid_over(mut base: Node, mut plan: Node, name: &str, faults: &mut PlanFaults
                 None => entries.push(change),
             }
         }
-        base.place = plan.place;
+        base.location = plan.location;
     }
     base
 }
@@ -89,7 +89,7 @@ fn drop_steps(drop: &Node, base: &mut Node, name: &str, faults: &mut PlanFaults)
             let known = steps.iter().map(|entry| entry.key.as_str());
             if !known.clone().any(|known| known == step) {
                 let message = format!("`drop` names {}, no step of {}", quoted(step), quoted(name));
-                faults.unknown(item.place, message, step, known);
+                faults.unknown(item.location, message, step, known);
             }
             dropped.push(step);
         }
@@ -121,8 +121,8 @@ fn lay_entry(entry: &mut Entry, change: Entry, name: &str, faults: &mut PlanFaul
         ("steps" | "defaults" | "presets", _, Kind::Mapping(_))
         | ("write", _, Kind::Sequence(_)) => {}
         (_, _, kind) => {
-            let place = change.value.place;
-            entry.value = Node { place, kind };
+            let location = change.value.location;
+            entry.value = Node { location, kind };
         }
     }
 }
@@ -141,7 +141,7 @@ fn lay_steps(steps: &mut Vec<Entry>, changes: Vec<Entry>, name: &str, faults: &m
                     listed(BODY_KEYS)
                 );
                 let known = steps.iter().map(|step| step.key.as_str());
-                faults.unknown(change.place, message, &change.key, known);
+                faults.unknown(change.location, message, &change.key, known);
             }
             None => steps.push(change),
         }
@@ -162,8 +162,8 @@ fn change_step(step: &mut Node, change: Node) {
             (Kind::Mapping(entries), Kind::Mapping(changes)) => merge(entries, changes),
             (_, Kind::Null) => {}
             (_, kind) => {
-                let place = change.value.place;
-                entry.value = Node { place, kind };
+                let location = change.value.location;
+                entry.value = Node { location, kind };
             }
         }
     }

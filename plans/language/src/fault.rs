@@ -19,7 +19,7 @@ pub struct Source {
     pub text: String,
 }
 
-/// A place in a text: line and column, both counted from 1, columns in characters.
+/// A position in a text: line and column, both counted from 1, columns in characters.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub struct Position {
     /// Which text: 0 is the plan itself, 1 the one that it extends, and so on.
@@ -32,7 +32,7 @@ pub struct Position {
 
 /// Where a value was written: in the text, or in a `--set` option on the command line.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
-pub enum Place {
+pub enum Location {
     /// In the text.
     Text(Position),
     /// In the option of this index, in the order given.
@@ -50,7 +50,7 @@ impl Position {
     }
 }
 
-impl Place {
+impl Location {
     /// The position in a text; the start of the plan for a value set by an option.
     #[must_use]
     pub fn position(self) -> Position {
@@ -74,7 +74,7 @@ pub enum Severity {
 #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord)]
 pub struct PlanFault {
     /// Where.
-    pub place: Place,
+    pub location: Location,
     /// Error or warning.
     pub severity: Severity,
     /// What was expected and what was found: one line, no full stop.
@@ -109,9 +109,9 @@ impl PlanFaults {
         self.sources.len() - 1
     }
 
-    /// Where the text at a place is from.
-    pub(crate) fn origin(&self, place: Place) -> &str {
-        let source = self.sources.get(place.position().source);
+    /// Where the text at a location is from.
+    pub(crate) fn origin(&self, location: Location) -> &str {
+        let source = self.sources.get(location.position().source);
         source.map_or("", |source| source.origin.as_str())
     }
 
@@ -120,7 +120,7 @@ impl PlanFaults {
         self.sources.get(source).map(|source| source.text.as_str())
     }
 
-    /// Names the `--set` options that [`Place::Setting`] counts.
+    /// Names the `--set` options that [`Location::Setting`] counts.
     #[must_use]
     pub fn with_settings(mut self, settings: &[String]) -> Self {
         self.settings = settings.to_vec();
@@ -128,19 +128,19 @@ impl PlanFaults {
     }
 
     /// Records an error.
-    pub fn error(&mut self, place: Place, message: impl Into<String>) {
-        self.push(place, Severity::Error, message.into(), None);
+    pub fn error(&mut self, location: Location, message: impl Into<String>) {
+        self.push(location, Severity::Error, message.into(), None);
     }
 
     /// Records an error and what to do about it.
     pub fn error_with(
         &mut self,
-        place: Place,
+        location: Location,
         message: impl Into<String>,
         suggestion: impl Into<String>,
     ) {
         self.push(
-            place,
+            location,
             Severity::Error,
             message.into(),
             Some(suggestion.into()),
@@ -148,26 +148,26 @@ impl PlanFaults {
     }
 
     /// Records a warning.
-    pub fn warning(&mut self, place: Place, message: impl Into<String>) {
-        self.push(place, Severity::Warning, message.into(), None);
+    pub fn warning(&mut self, location: Location, message: impl Into<String>) {
+        self.push(location, Severity::Warning, message.into(), None);
     }
 
     /// Records that `name` is none of `known`, suggesting the nearest of them if one is near.
     pub fn unknown<'k>(
         &mut self,
-        place: Place,
+        location: Location,
         message: impl Into<String>,
         name: &str,
         known: impl IntoIterator<Item = &'k str>,
     ) {
-        self.unknown_as(Severity::Error, place, message, name, known);
+        self.unknown_as(Severity::Error, location, message, name, known);
     }
 
     /// As [`PlanFaults::unknown`], with the severity given.
     pub fn unknown_as<'k>(
         &mut self,
         severity: Severity,
-        place: Place,
+        location: Location,
         message: impl Into<String>,
         name: &str,
         known: impl IntoIterator<Item = &'k str>,
@@ -177,12 +177,12 @@ impl PlanFaults {
             _ => None,
         };
         let suggestion = nearest.map(|known| format!("did you mean {}?", suggest::quoted(known)));
-        self.push(place, severity, message.into(), suggestion);
+        self.push(location, severity, message.into(), suggestion);
     }
 
     fn push(
         &mut self,
-        place: Place,
+        location: Location,
         severity: Severity,
         message: String,
         suggestion: Option<String>,
@@ -192,7 +192,7 @@ impl PlanFaults {
             return;
         }
         self.kept.push(PlanFault {
-            place,
+            location,
             severity,
             message,
             suggestion,
@@ -222,7 +222,7 @@ impl PlanFaults {
         self.errors().count() + self.omitted
     }
 
-    /// Sorts by place and drops repetitions (an alias repeats the faults of its anchor).
+    /// Sorts by location and drops repetitions (an alias repeats the faults of its anchor).
     #[must_use]
     pub fn settle(mut self) -> Self {
         self.kept.sort();
@@ -242,12 +242,12 @@ impl PlanFaults {
         }
     }
 
-    fn place_name(&self, place: Place) -> String {
-        match place {
-            Place::Text(Position { line, column, .. }) => {
-                format!("{}:{line}:{column}", self.origin(place))
+    fn location_name(&self, location: Location) -> String {
+        match location {
+            Location::Text(Position { line, column, .. }) => {
+                format!("{}:{line}:{column}", self.origin(location))
             }
-            Place::Setting(index) => match self.settings.get(index) {
+            Location::Setting(index) => match self.settings.get(index) {
                 Some(setting) => format!("--set {}", suggest::printable(setting)),
                 None => "--set".to_owned(),
             },
@@ -258,7 +258,7 @@ impl PlanFaults {
         match self.omitted {
             0 => Ok(()),
             omitted => {
-                let origin = self.origin(Place::Text(Position::start_of(0)));
+                let origin = self.origin(Location::Text(Position::start_of(0)));
                 writeln!(out, "{origin}: … and {omitted} more")
             }
         }
@@ -286,14 +286,14 @@ impl PlanFaults {
             Severity::Error => "error",
             Severity::Warning => "warning",
         };
-        let place = self.place_name(fault.place);
+        let place = self.location_name(fault.location);
         out.push_str(&format!("{kind}: {}\n  --> {place}\n", fault.message));
-        let source = match fault.place {
-            Place::Text(position) => lines
+        let source = match fault.location {
+            Location::Text(position) => lines
                 .get(position.source)
                 .and_then(|lines| lines.get(position.line.wrapping_sub(1)))
                 .map(|line| (position, *line)),
-            Place::Setting(_) => None,
+            Location::Setting(_) => None,
         };
         let hint = fault.suggestion.as_deref().unwrap_or("");
         match source {
@@ -336,7 +336,7 @@ fn marked_line(position: Position, line: &str, hint: &str) -> String {
 impl fmt::Display for PlanFaults {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         for fault in &self.kept {
-            let place = self.place_name(fault.place);
+            let place = self.location_name(fault.location);
             let kind = match fault.severity {
                 Severity::Error => "",
                 Severity::Warning => "warning: ",

@@ -4,12 +4,12 @@ mod order;
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use crate::fault::{Place, PlanFaults, Severity};
-use crate::inside::Part;
+use crate::fault::{Location, PlanFaults, Severity};
+use crate::inside::QueryPosition;
 use crate::plan::{Body, Input, Plan, PlanTest, Row, Step};
 use crate::suggest::quoted;
 use crate::vocabulary::Vocabulary;
-use crate::written::{Named, Written, WrittenInput, WrittenStep, WrittenTest};
+use crate::written::{LocatedName, WrittenInput, WrittenPlan, WrittenStep, WrittenTest};
 
 /// Names that can be read.
 struct Names<'n> {
@@ -20,7 +20,7 @@ struct Names<'n> {
 }
 
 /// Resolves every name, records what is wrong, and makes the plan of what is not.
-pub(crate) fn plan(written: Written, vocabulary: &Vocabulary, faults: &mut PlanFaults) -> Plan {
+pub(crate) fn plan(written: WrittenPlan, vocabulary: &Vocabulary, faults: &mut PlanFaults) -> Plan {
     let in_order: Vec<&str> = written.steps.iter().map(|s| s.name.name.as_str()).collect();
     let names = Names {
         steps: in_order
@@ -84,10 +84,10 @@ fn finished(step: WrittenStep, resolved: Vec<Option<Input>>) -> Option<Step> {
     };
     Some(Step {
         name: step.name.name,
-        position: step.name.place.position(),
+        position: step.name.location.position(),
         inputs: inputs.map(named).collect::<Option<_>>()?,
         body: step.body?,
-        body_place: step.body_place,
+        body_location: step.body_location,
         once: step.once,
     })
 }
@@ -130,7 +130,7 @@ impl Names<'_> {
             };
             if input.is_implied && !self.has_table_for(input, step) {
                 let message = format!("{what} is not connected, and no other table has its name");
-                faults.error(input.table.place, message);
+                faults.error(input.table.location, message);
                 return None;
             }
             let mut tried = PlanFaults::default();
@@ -140,7 +140,8 @@ impl Names<'_> {
             }
             let mut table = input.table.clone();
             if let Some(Body::Sql { query }) = &step.body {
-                table.place = faults.inside(step.body_place, query, Part::Word(&table.name));
+                table.location =
+                    faults.inside(step.body_location, query, QueryPosition::Word(&table.name));
             }
             self.input(&table, &what, faults)
         };
@@ -155,16 +156,16 @@ impl Names<'_> {
     }
 
     /// What a name that is read stands for.
-    fn input(&self, named: &Named, what: &str, faults: &mut PlanFaults) -> Option<Input> {
+    fn input(&self, named: &LocatedName, what: &str, faults: &mut PlanFaults) -> Option<Input> {
         let name = named.name.as_str();
         if let Some(layer) = name.strip_prefix(Input::PREVIOUS) {
-            return self.previous(layer, named.place, faults);
+            return self.previous(layer, named.location, faults);
         }
         if let Some(step) = name.strip_prefix(Input::NEW) {
-            let place = named.place;
-            let named = Named {
+            let location = named.location;
+            let named = LocatedName {
                 name: step.to_owned(),
-                place,
+                location,
             };
             self.step(&named, "`new.`", faults)?;
             return Some(Input::New(step.to_owned()));
@@ -181,7 +182,7 @@ impl Names<'_> {
         );
         let known = self.in_order.iter().copied();
         faults.unknown(
-            named.place,
+            named.location,
             message,
             name,
             known.chain(self.vocabulary.source_names()),
@@ -190,9 +191,12 @@ impl Names<'_> {
     }
 
     /// Another plan may have published the layer, so that an unknown name is only a warning.
-    fn previous(&self, layer: &str, place: Place, faults: &mut PlanFaults) -> Option<Input> {
+    fn previous(&self, layer: &str, location: Location, faults: &mut PlanFaults) -> Option<Input> {
         if layer.is_empty() {
-            faults.error(place, "`previous.` must be followed by the name of a layer");
+            faults.error(
+                location,
+                "`previous.` must be followed by the name of a layer",
+            );
             return None;
         }
         if !self.steps.contains_key(layer) {
@@ -201,7 +205,7 @@ impl Names<'_> {
                 quoted(layer)
             );
             let known = self.in_order.iter().copied();
-            faults.unknown_as(Severity::Warning, place, message, layer, known);
+            faults.unknown_as(Severity::Warning, location, message, layer, known);
         }
         Some(Input::Previous(layer.to_owned()))
     }
@@ -217,7 +221,7 @@ impl Names<'_> {
     }
 
     /// A name that must be a step; `what` is what names it.
-    fn step(&self, named: &Named, what: &str, faults: &mut PlanFaults) -> Option<usize> {
+    fn step(&self, named: &LocatedName, what: &str, faults: &mut PlanFaults) -> Option<usize> {
         let name = named.name.as_str();
         if let Some(index) = self.steps.get(name) {
             return Some(*index);
@@ -231,17 +235,17 @@ impl Names<'_> {
         } else {
             format!("{what} names {}, which is not a step", quoted(name))
         };
-        faults.unknown(named.place, message, name, self.in_order.iter().copied());
+        faults.unknown(named.location, message, name, self.in_order.iter().copied());
         None
     }
 
-    fn write(&self, write: &[Named], faults: &mut PlanFaults) -> Vec<usize> {
+    fn write(&self, write: &[LocatedName], faults: &mut PlanFaults) -> Vec<usize> {
         let mut seen = BTreeSet::new();
         let mut indices = Vec::new();
         for named in write {
             if !seen.insert(named.name.as_str()) {
                 let name = quoted(&named.name);
-                faults.error(named.place, format!("`write` names {name} twice"));
+                faults.error(named.location, format!("`write` names {name} twice"));
                 continue;
             }
             indices.extend(self.step(named, "`write`", faults));
@@ -250,7 +254,7 @@ impl Names<'_> {
     }
 
     /// What a plan needs of sessions are sources that its steps read.
-    fn needs(&self, needs: &[Named], inputs: &[Vec<Option<Input>>], faults: &mut PlanFaults) {
+    fn needs(&self, needs: &[LocatedName], inputs: &[Vec<Option<Input>>], faults: &mut PlanFaults) {
         let known = || self.vocabulary.source_names();
         let are_whole = inputs.iter().flatten().all(Option::is_some);
         for need in needs {
@@ -259,10 +263,10 @@ impl Names<'_> {
             let said = quoted(name);
             if !known().any(|known| known == name) {
                 let message = format!("`needs` names {said}, which is not a source");
-                faults.unknown(need.place, message, name, known());
+                faults.unknown(need.location, message, name, known());
             } else if are_whole && !inputs.iter().flatten().flatten().any(reads) {
                 let message = format!("`needs` names {said}, which no step reads");
-                faults.error(need.place, message);
+                faults.error(need.location, message);
             }
         }
     }
@@ -276,14 +280,14 @@ impl Names<'_> {
                 None => sound = false,
             }
         }
-        let mut made = |key: &str, tables: &[(Named, Vec<Row>)]| {
+        let mut made = |key: &str, tables: &[(LocatedName, Vec<Row>)]| {
             let mut made = Vec::new();
             for (named, rows) in tables {
                 sound &= self.step(named, key, faults).is_some();
                 if test.given.iter().any(|(given, _)| given.name == named.name) {
                     let name = quoted(&named.name);
                     let message = format!("{name} is given, so that expecting it tests nothing");
-                    faults.error(named.place, message);
+                    faults.error(named.location, message);
                 }
                 made.push((named.name.clone(), rows.clone()));
             }
@@ -293,7 +297,7 @@ impl Names<'_> {
         let contains = made("`contains`", &test.contains);
         sound.then(|| PlanTest {
             name: test.name.name.clone(),
-            position: test.name.place.position(),
+            position: test.name.location.position(),
             given,
             expect,
             contains,
@@ -320,7 +324,7 @@ impl Names<'_> {
             } else {
                 format!("step {name} is neither read nor written")
             };
-            faults.warning(step.name.place, message);
+            faults.warning(step.name.location, message);
         }
     }
 }

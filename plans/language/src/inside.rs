@@ -1,17 +1,17 @@
 //! Where a part of a query is written in a plan, which may fold it, indent it or put it between quotes.
 
-use crate::fault::{Place, PlanFaults, Position};
+use crate::fault::{Location, PlanFaults, Position};
 
 /// A part of a query.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Part<'q> {
+pub enum QueryPosition<'q> {
     /// The character at this line and column of it, both from 1.
     At(usize, usize),
     /// The first place of a word, whatever its case.
     Word(&'q str),
 }
 
-impl Part<'_> {
+impl QueryPosition<'_> {
     /// Its first byte; `None` where the query has no such part.
     fn start(self, query: &str) -> Option<usize> {
         match self {
@@ -39,12 +39,17 @@ impl Part<'_> {
 }
 
 impl PlanFaults {
-    /// The place of a part of a query that begins at a place; the query's own where the part cannot be found there. YAML
-    /// changes white space alone, but for characters that are escaped.
+    /// The location of a part of a query that begins at a location; the query's own where the part cannot be found
+    /// there. YAML changes white space alone, but for characters that are escaped.
     #[must_use]
-    pub fn inside(&self, query_place: Place, query: &str, part: Part<'_>) -> Place {
+    pub fn inside(
+        &self,
+        query_location: Location,
+        query: &str,
+        part: QueryPosition<'_>,
+    ) -> Location {
         let found = || {
-            let Place::Text(begin) = query_place else {
+            let Location::Text(begin) = query_location else {
                 return None;
             };
             let visible = |text: &str| text.chars().filter(|c| !c.is_whitespace()).count();
@@ -57,9 +62,9 @@ impl PlanFaults {
             let mut both = written.zip(meant.by_ref());
             let same = both.by_ref().take(before).all(|((_, c), meant)| c == meant);
             let ((position, c), meant) = both.next()?;
-            (same && c == meant).then_some(Place::Text(position))
+            (same && c == meant).then_some(Location::Text(position))
         };
-        found().unwrap_or(query_place)
+        found().unwrap_or(query_location)
     }
 }
 
@@ -91,7 +96,7 @@ mod tests {
     use crate::fault::Source;
 
     /// Where a part is found of the query that a plan's text has from its first `SELECT` on, or the quote before.
-    fn found(text: &str, query: &str, part: Part<'_>) -> (usize, usize) {
+    fn found(text: &str, query: &str, part: QueryPosition<'_>) -> (usize, usize) {
         let mut faults = PlanFaults::default();
         let source = faults.open(Source {
             origin: "x.yaml".to_owned(),
@@ -101,12 +106,12 @@ mod tests {
         let before = &text[..start];
         let line = before.matches('\n').count() + 1;
         let column = before.chars().rev().take_while(|c| *c != '\n').count() + 1;
-        let place = Place::Text(Position {
+        let location = Location::Text(Position {
             source,
             line,
             column,
         });
-        let Position { line, column, .. } = faults.inside(place, query, part).position();
+        let Position { line, column, .. } = faults.inside(location, query, part).position();
         (line, column)
     }
 
@@ -114,29 +119,35 @@ mod tests {
     fn parts_of_queries_are_found_however_they_are_written() {
         let block = "sql: |\n  SELECT é,\n    nope(b)\n  FROM c\n";
         let query = "SELECT é,\n  nope(b)\nFROM c\n";
-        assert_eq!(found(block, query, Part::At(1, 8)), (2, 10));
-        assert_eq!(found(block, query, Part::At(2, 3)), (3, 5));
-        assert_eq!(found(block, query, Part::Word("NOPE")), (3, 5));
+        assert_eq!(found(block, query, QueryPosition::At(1, 8)), (2, 10));
+        assert_eq!(found(block, query, QueryPosition::At(2, 3)), (3, 5));
+        assert_eq!(found(block, query, QueryPosition::Word("NOPE")), (3, 5));
         let folded = "sql: >\n  SELECT a,\n  nope(b)\n  FROM c\n";
         let query = "SELECT a, nope(b) FROM c\n";
-        assert_eq!(found(folded, query, Part::At(1, 11)), (3, 3));
-        assert_eq!(found(folded, query, Part::Word("c")), (4, 8));
+        assert_eq!(found(folded, query, QueryPosition::At(1, 11)), (3, 3));
+        assert_eq!(found(folded, query, QueryPosition::Word("c")), (4, 8));
         let plain = "a: { sql: SELECT a, nope(b) FROM c }";
-        assert_eq!(found(plain, query.trim(), Part::At(1, 11)), (1, 21));
+        assert_eq!(
+            found(plain, query.trim(), QueryPosition::At(1, 11)),
+            (1, 21)
+        );
         let quoted = "sql: \"SELECT a, nope(b) FROM c\"";
-        assert_eq!(found(quoted, query.trim(), Part::Word("from")), (1, 25));
+        assert_eq!(
+            found(quoted, query.trim(), QueryPosition::Word("from")),
+            (1, 25)
+        );
     }
 
     #[test]
     fn what_is_not_found_is_where_the_query_is() {
         let escaped = "sql: \"SELECT \\x61, nope(b) FROM c\"";
         let query = "SELECT a, nope(b) FROM c";
-        assert_eq!(found(escaped, query, Part::Word("nope")), (1, 6));
+        assert_eq!(found(escaped, query, QueryPosition::Word("nope")), (1, 6));
         for part in [
-            Part::At(0, 1),
-            Part::At(1, 99),
-            Part::At(9, 9),
-            Part::Word("select_"),
+            QueryPosition::At(0, 1),
+            QueryPosition::At(1, 99),
+            QueryPosition::At(9, 9),
+            QueryPosition::Word("select_"),
         ] {
             assert_eq!(found("sql: SELECT a", "SELECT a", part), (1, 6));
         }

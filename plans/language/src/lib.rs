@@ -54,9 +54,9 @@ mod written;
 mod yaml;
 
 pub use editor::json_schema;
-pub use fault::{Place, PlanFault, PlanFaults, Position, Severity, Source};
-pub use inside::Part;
-pub use manifest::{entry_place, role_places};
+pub use fault::{Location, PlanFault, PlanFaults, Position, Severity, Source};
+pub use inside::QueryPosition;
+pub use manifest::{entry_position, role_positions};
 pub use plan::{
     Body, DEFAULT_TOLERANCE, Grain, Input, ManifestPath, Plan, PlanTest, PythonStep, Row, Step,
 };
@@ -120,12 +120,12 @@ pub fn utf8<'b>(bytes: &'b [u8], origin: &str) -> Result<&'b str, PlanFaults> {
             origin: origin.to_owned(),
             text: sound,
         });
-        let place = Place::Text(Position {
+        let location = Location::Text(Position {
             source,
             line,
             column,
         });
-        faults.error_with(place, "not UTF-8 text", "save the file as UTF-8");
+        faults.error_with(location, "not UTF-8 text", "save the file as UTF-8");
         faults
     })
 }

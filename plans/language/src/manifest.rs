@@ -1,7 +1,7 @@
 //! `defaults` of a session manifest: parameters of a vehicle, laid over those of the plan before anything is checked.
 //! What else it says is for who opens logs; here is where it stands.
 
-use crate::fault::{Place, PlanFaults, Position, Source};
+use crate::fault::{Location, PlanFaults, Position, Source};
 use crate::setting::found_or_added;
 use crate::suggest::quoted;
 use crate::vocabulary::{OperatorSpec, Vocabulary};
@@ -21,7 +21,10 @@ pub(crate) fn lay(
     let Some(mut tree) = yaml::read(manifest, faults) else {
         return;
     };
-    let Some(Entry { place, value, .. }) = tree.take("defaults") else {
+    let Some(Entry {
+        location, value, ..
+    }) = tree.take("defaults")
+    else {
         return;
     };
     let Kind::Mapping(given) = value.kind else {
@@ -31,7 +34,7 @@ pub(crate) fn lay(
         return;
     };
     check(&given, vocabulary, faults);
-    let defaults = found_or_added(plan, "defaults", place);
+    let defaults = found_or_added(plan, "defaults", location);
     match defaults.map(|entry| &mut entry.value.kind) {
         Some(Kind::Mapping(defaults)) => merge(defaults, given),
         Some(nothing @ Kind::Null) => *nothing = Kind::Mapping(given),
@@ -41,14 +44,14 @@ pub(crate) fn lay(
 }
 
 /// Where a manifest names a role, and where its topics are; `None` where it does not.
-pub fn role_places(manifest: &Source, role: &str) -> Option<[Position; 2]> {
+pub fn role_positions(manifest: &Source, role: &str) -> Option<[Position; 2]> {
     let tree = yaml::read(manifest, &mut PlanFaults::default())?;
     let entry = tree.get("roles")?.value.get(role)?;
-    Some([entry.place, entry.value.place].map(Place::position))
+    Some([entry.location, entry.value.location].map(Location::position))
 }
 
 /// Where an entry of a manifest is, by its path, such as `sessions[0].files[1]`; `None` where it is not there.
-pub fn entry_place(manifest: &Source, path: &str) -> Option<Position> {
+pub fn entry_position(manifest: &Source, path: &str) -> Option<Position> {
     let tree = yaml::read(manifest, &mut PlanFaults::default())?;
     let mut node = &tree;
     for part in path.split('.') {
@@ -62,7 +65,7 @@ pub fn entry_place(manifest: &Source, path: &str) -> Option<Position> {
             node = items.get(item.parse::<usize>().ok()?)?;
         }
     }
-    Some(node.place.position())
+    Some(node.location.position())
 }
 
 fn check(given: &[Entry], vocabulary: &Vocabulary, faults: &mut PlanFaults) {
@@ -72,7 +75,7 @@ fn check(given: &[Entry], vocabulary: &Vocabulary, faults: &mut PlanFaults) {
         if !known().any(|known| known == entry.key) {
             let name = quoted(&entry.key);
             let message = format!("`defaults` sets {name}, which is a parameter of no operator");
-            faults.unknown(entry.place, message, &entry.key, known());
+            faults.unknown(entry.location, message, &entry.key, known());
         }
     }
 }

@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value};
 
-use crate::fault::{Place, PlanFaults, Position};
+use crate::fault::{Location, PlanFaults, Position};
 
 /// How far numbers in a plan's test may be apart when the test does not say.
 pub const DEFAULT_TOLERANCE: f64 = 1e-9;
@@ -54,7 +54,7 @@ pub struct Step {
     /// What makes the layer.
     pub body: Body,
     /// Where that is written: a query, from its first character on.
-    pub body_place: Place,
+    pub body_location: Location,
     /// Whether its rows of the version before are kept until something else that it reads than that version has changed.
     pub once: bool,
 }

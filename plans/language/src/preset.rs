@@ -1,6 +1,6 @@
 //! `presets`: parameters of steps that a plan gives one name, such as `preview`; `--set NAME` lays them over the steps.
 
-use crate::fault::{Place, PlanFaults};
+use crate::fault::{Location, PlanFaults};
 use crate::setting::{is_query, parameters_of};
 use crate::suggest::quoted;
 use crate::written::{Context, check_alone};
@@ -35,7 +35,7 @@ impl Presets {
                 if !steps.contains(&step.key) {
                     let message = format!("{what} names {name}, which is not a step");
                     let known = steps.iter().map(String::as_str);
-                    faults.unknown(step.place, message, &step.key, known);
+                    faults.unknown(step.location, message, &step.key, known);
                 }
             }
         }
@@ -60,14 +60,20 @@ impl Presets {
     }
 
     /// Lays the preset of this name over the steps of a plan.
-    pub(crate) fn lay(&self, name: &str, root: &mut Node, place: Place, faults: &mut PlanFaults) {
+    pub(crate) fn lay(
+        &self,
+        name: &str,
+        root: &mut Node,
+        location: Location,
+        faults: &mut PlanFaults,
+    ) {
         let Some(preset) = self.0.iter().find(|preset| preset.key == name) else {
             let known = self.0.iter().map(|preset| preset.key.as_str());
             let message = format!(
                 "{} is neither `step.parameter=value` nor a preset of this plan",
                 quoted(name)
             );
-            faults.unknown(place, message, name, known);
+            faults.unknown(location, message, name, known);
             return;
         };
         let Kind::Mapping(steps) = &preset.value.kind else {
@@ -84,7 +90,7 @@ impl Presets {
             let Kind::Mapping(values) = &step.value.kind else {
                 continue;
             };
-            let Some(parameters) = parameters_of(root, &step.key, step.place, faults) else {
+            let Some(parameters) = parameters_of(root, &step.key, step.location, faults) else {
                 continue;
             };
             match &mut parameters.kind {
@@ -103,7 +109,7 @@ fn check_parameters(given: &Entry, root: &Node, context: &Context<'_>, faults: &
         return;
     };
     let own: Vec<&Entry> = values.iter().filter(|value| value.is_own()).collect();
-    if own.is_empty() || is_query(&step.value, &given.key, given.place, faults) {
+    if own.is_empty() || is_query(&step.value, &given.key, given.location, faults) {
         return;
     }
     if let Some(op) = step.value.get("op")
@@ -129,8 +135,8 @@ pub(crate) fn overlay(entries: &mut Vec<Entry>, changes: Vec<Entry>, levels: usi
                 overlay(entries, changes, levels - 1);
             }
             (_, _, kind) => {
-                let place = change.value.place;
-                entry.value = Node { place, kind };
+                let location = change.value.location;
+                entry.value = Node { location, kind };
             }
         }
     }

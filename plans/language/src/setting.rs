@@ -1,7 +1,7 @@
 //! `--set step.param=value`: parameters from the command line, laid over the tree before
 //! anything is checked, so that they are checked like written ones. `--set NAME`: a preset.
 
-use crate::fault::{Place, PlanFaults};
+use crate::fault::{Location, PlanFaults};
 use crate::preset::Presets;
 use crate::suggest::quoted;
 use crate::written::Context;
@@ -18,19 +18,19 @@ pub(crate) fn set(
     let presets = Presets::take(root, faults);
     presets.check_others(settings, root, context, faults);
     for (index, setting) in settings.iter().enumerate() {
-        let place = Place::Setting(index);
+        let location = Location::Setting(index);
         if is_name(setting) {
-            presets.lay(setting, root, place, faults);
+            presets.lay(setting, root, location, faults);
             continue;
         }
-        let Some((path, value)) = parsed(setting, place, faults) else {
+        let Some((path, value)) = parsed(setting, location, faults) else {
             continue;
         };
         let [step, parameter @ ..] = path.as_slice() else {
             continue;
         };
-        if let Some(parameters) = parameters_of(root, step, place, faults) {
-            assign(parameters, parameter, value, place, faults);
+        if let Some(parameters) = parameters_of(root, step, location, faults) {
+            assign(parameters, parameter, value, location, faults);
         }
     }
 }
@@ -44,7 +44,7 @@ fn is_name(setting: &str) -> bool {
 /// The path and the value of a setting, everything placed at the setting.
 fn parsed<'s>(
     setting: &'s str,
-    place: Place,
+    location: Location,
     faults: &mut PlanFaults,
 ) -> Option<(Vec<&'s str>, Node)> {
     let (path, text) = setting.split_once('=').unwrap_or((setting, ""));
@@ -52,25 +52,25 @@ fn parsed<'s>(
     let complete = path.len() >= 2 && path.iter().all(|part| !part.is_empty());
     if !complete || !setting.contains('=') {
         faults.error_with(
-            place,
+            location,
             "this sets nothing",
             "write `step.parameter=value`, or the name of a preset",
         );
         return None;
     }
     if path.len() > yaml::DEEPEST {
-        faults.error(place, "this names a parameter nested too deep");
+        faults.error(location, "this names a parameter nested too deep");
         return None;
     }
     if text.trim().is_empty() {
-        return Some((path, nothing(place)));
+        return Some((path, nothing(location)));
     }
-    Some((path, yaml::read_from(place, text, faults)?))
+    Some((path, yaml::read_from(location, text, faults)?))
 }
 
-fn nothing(place: Place) -> Node {
+fn nothing(location: Location) -> Node {
     Node {
-        place,
+        location,
         kind: Kind::Null,
     }
 }
@@ -80,29 +80,34 @@ fn nothing(place: Place) -> Node {
 pub(crate) fn parameters_of<'n>(
     root: &'n mut Node,
     step: &str,
-    place: Place,
+    location: Location,
     faults: &mut PlanFaults,
 ) -> Option<&'n mut Node> {
     let steps = root.get_mut("steps")?.value.entries_mut()?;
     let Some(index) = steps.iter().position(|entry| entry.key == step) else {
         let message = format!("there is no step {}", quoted(step));
         let known = steps.iter().map(|entry| entry.key.as_str());
-        faults.unknown(place, message, step, known);
+        faults.unknown(location, message, step, known);
         return None;
     };
     let body = &mut steps.get_mut(index)?.value;
-    if is_query(body, step, place, faults) {
+    if is_query(body, step, location, faults) {
         return None;
     }
-    Some(&mut found_or_added(body, "with", place)?.value)
+    Some(&mut found_or_added(body, "with", location)?.value)
 }
 
 /// Whether a step is a query, to which nobody can give parameters; that is recorded.
-pub(crate) fn is_query(body: &Node, step: &str, place: Place, faults: &mut PlanFaults) -> bool {
+pub(crate) fn is_query(
+    body: &Node,
+    step: &str,
+    location: Location,
+    faults: &mut PlanFaults,
+) -> bool {
     let is_query = body.get("sql").is_some();
     if is_query {
         let message = format!("step {} is a query, which has no parameters", quoted(step));
-        faults.error(place, message);
+        faults.error(location, message);
     }
     is_query
 }
@@ -111,15 +116,15 @@ pub(crate) fn is_query(body: &Node, step: &str, place: Place, faults: &mut PlanF
 pub(crate) fn found_or_added<'n>(
     node: &'n mut Node,
     key: &str,
-    place: Place,
+    location: Location,
 ) -> Option<&'n mut Entry> {
     let entries = node.entries_mut()?;
     let index = entries.iter().position(|entry| entry.key == key);
     let index = index.unwrap_or_else(|| {
         entries.push(Entry {
             key: key.to_owned(),
-            place,
-            value: nothing(place),
+            location,
+            value: nothing(location),
         });
         entries.len() - 1
     });
@@ -130,7 +135,7 @@ fn assign(
     parameters: &mut Node,
     path: &[&str],
     value: Node,
-    place: Place,
+    location: Location,
     faults: &mut PlanFaults,
 ) {
     let mut node = parameters;
@@ -138,12 +143,12 @@ fn assign(
         if node.kind == Kind::Null {
             node.kind = Kind::Mapping(Vec::new());
         }
-        let Some(entry) = found_or_added(node, key, place) else {
+        let Some(entry) = found_or_added(node, key, location) else {
             let message = format!("{} is not in a mapping", quoted(key));
-            faults.error(place, message);
+            faults.error(location, message);
             return;
         };
-        entry.place = place;
+        entry.location = location;
         node = &mut entry.value;
     }
     *node = value;

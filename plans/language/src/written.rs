@@ -7,7 +7,7 @@ mod table;
 use std::collections::BTreeSet;
 use std::path::Path;
 
-use crate::fault::{Place, PlanFaults, Position};
+use crate::fault::{Location, PlanFaults, Position};
 use crate::plan::{Body, DEFAULT_TOLERANCE, ManifestPath, Row};
 use crate::suggest::quoted;
 use crate::vocabulary::{Host, OperatorSpec, Vocabulary};
@@ -33,31 +33,31 @@ pub(crate) const MOST_STEPS: usize = 4096;
 
 /// A name and where it is written.
 #[derive(Debug, Clone)]
-pub(crate) struct Named {
+pub(crate) struct LocatedName {
     pub name: String,
-    pub place: Place,
+    pub location: Location,
 }
 
 /// A plan whose names are not yet resolved. What was at fault is absent.
-pub(crate) struct Written {
+pub(crate) struct WrittenPlan {
     pub name: String,
     pub doc: Option<String>,
-    pub needs: Vec<Named>,
+    pub needs: Vec<LocatedName>,
     pub sessions: Option<ManifestPath>,
     pub steps: Vec<WrittenStep>,
-    pub write: Vec<Named>,
+    pub write: Vec<LocatedName>,
     /// Whether all of `write` could be read, so that what it lacks is known to be lacking.
     pub write_is_whole: bool,
     pub tests: Vec<WrittenTest>,
 }
 
 pub(crate) struct WrittenStep {
-    pub name: Named,
+    pub name: LocatedName,
     pub inputs: Vec<WrittenInput>,
     /// What it does; `None` if at fault.
     pub body: Option<Body>,
     /// Where that is written.
-    pub body_place: Place,
+    pub body_location: Location,
     /// Whether each session keeps what the step made when it came.
     pub once: bool,
     /// Whether nothing that is written in the step is at fault.
@@ -68,16 +68,16 @@ pub(crate) struct WrittenStep {
 pub(crate) struct WrittenInput {
     /// Under which port; `None` for queries.
     pub port: Option<String>,
-    pub table: Named,
+    pub table: LocatedName,
     /// Whether the port is not named, so that the table of its own name is meant.
     pub is_implied: bool,
 }
 
 pub(crate) struct WrittenTest {
-    pub name: Named,
-    pub given: Vec<(Named, Vec<Row>)>,
-    pub expect: Vec<(Named, Vec<Row>)>,
-    pub contains: Vec<(Named, Vec<Row>)>,
+    pub name: LocatedName,
+    pub given: Vec<(LocatedName, Vec<Row>)>,
+    pub expect: Vec<(LocatedName, Vec<Row>)>,
+    pub contains: Vec<(LocatedName, Vec<Row>)>,
     pub tolerance: f64,
 }
 
@@ -94,7 +94,11 @@ struct StepContext<'c> {
     defaults: &'c [Entry],
 }
 
-pub(crate) fn plan(root: &Node, context: &Context<'_>, faults: &mut PlanFaults) -> Option<Written> {
+pub(crate) fn plan(
+    root: &Node,
+    context: &Context<'_>,
+    faults: &mut PlanFaults,
+) -> Option<WrittenPlan> {
     let fields = Fields::of(root, "the plan", &PLAN_KEYS, faults)?;
     let name = fields
         .require("plan", "the plan", faults)
@@ -105,18 +109,21 @@ pub(crate) fn plan(root: &Node, context: &Context<'_>, faults: &mut PlanFaults) 
                 .map(|name| (entry, name))
         });
     if let Some((entry, name)) = name {
-        check_name(name, "a plan", entry.value.place, faults);
+        check_name(name, "a plan", entry.value.location, faults);
     }
     let doc = fields.get("doc");
     let doc = doc.and_then(|entry| entry.value.text("`doc`", faults));
     let needs = fields.get("needs");
     let needs = needs.and_then(|entry| names_of(&entry.value, "`needs`", faults));
     let sessions = fields.get("sessions").and_then(|entry| {
-        let (path, place) = (entry.value.text("`sessions`", faults)?, entry.value.place);
+        let (path, location) = (
+            entry.value.text("`sessions`", faults)?,
+            entry.value.location,
+        );
         Some(ManifestPath {
             path: path.to_owned(),
-            origin: faults.origin(place).to_owned(),
-            from_plan: from_plan(path, place, faults),
+            origin: faults.origin(location).to_owned(),
+            from_plan: from_plan(path, location, faults),
         })
     });
     let defaults = fields.get("defaults");
@@ -134,7 +141,7 @@ pub(crate) fn plan(root: &Node, context: &Context<'_>, faults: &mut PlanFaults) 
     let write_is_whole = named.is_some() && faults.error_count() == before;
     let tests = fields.get("tests");
     let tests = tests.map_or_else(Vec::new, |entry| table::tests(&entry.value, faults));
-    Some(Written {
+    Some(WrittenPlan {
         name: name.map_or_else(String::new, |(_, name)| name.to_owned()),
         doc: doc.map(str::to_owned),
         needs: needs.unwrap_or_default(),
@@ -147,7 +154,7 @@ pub(crate) fn plan(root: &Node, context: &Context<'_>, faults: &mut PlanFaults) 
 }
 
 /// Names are `[a-z][a-z0-9_]*`: they are names of tables, files and columns.
-fn check_name(name: &str, what: &str, place: Place, faults: &mut PlanFaults) -> bool {
+fn check_name(name: &str, what: &str, location: Location, faults: &mut PlanFaults) -> bool {
     const LONGEST: usize = 64;
     let starts_well = name.starts_with(|c: char| c.is_ascii_lowercase());
     let continues_well = name
@@ -158,7 +165,7 @@ fn check_name(name: &str, what: &str, place: Place, faults: &mut PlanFaults) -> 
     }
     if name.len() > LONGEST {
         faults.error(
-            place,
+            location,
             format!("the name of {what} has more than {LONGEST} letters"),
         );
         return false;
@@ -169,8 +176,8 @@ fn check_name(name: &str, what: &str, place: Place, faults: &mut PlanFaults) -> 
         quoted(name)
     );
     match mended(name) {
-        Some(mended) => faults.error_with(place, message, format!("did you mean `{mended}`?")),
-        None => faults.error(place, message),
+        Some(mended) => faults.error_with(location, message, format!("did you mean `{mended}`?")),
+        None => faults.error(location, message),
     }
     false
 }
@@ -211,7 +218,7 @@ fn check_defaults(
             let name = quoted(&default.key);
             let message = format!("`defaults` sets {name}, which is a parameter of no step");
             let known = known.iter().copied();
-            faults.unknown(default.place, message, &default.key, known);
+            faults.unknown(default.location, message, &default.key, known);
         }
     }
 }
@@ -221,21 +228,21 @@ fn steps_of(node: &Node, context: &StepContext<'_>, faults: &mut PlanFaults) -> 
         return Vec::new();
     };
     if entries.is_empty() {
-        faults.error(node.place, "`steps` must have at least one step");
+        faults.error(node.location, "`steps` must have at least one step");
     }
     if entries.len() > MOST_STEPS {
         let message = format!("more than {MOST_STEPS} steps");
-        faults.error(node.place, message);
+        faults.error(node.location, message);
         return Vec::new();
     }
     let mut steps = Vec::new();
     for entry in entries {
         let before = faults.error_count();
-        check_name(&entry.key, "a step", entry.place, faults);
+        check_name(&entry.key, "a step", entry.location, faults);
         if let Some(other) = context.around.vocabulary.taken_by(&entry.key) {
             let name = quoted(&entry.key);
             faults.error(
-                entry.place,
+                entry.location,
                 format!("a step cannot be named {name}: that is {other}"),
             );
         }
@@ -246,22 +253,22 @@ fn steps_of(node: &Node, context: &StepContext<'_>, faults: &mut PlanFaults) -> 
     steps
 }
 
-fn write_of(node: &Node, faults: &mut PlanFaults) -> Option<Vec<Named>> {
+fn write_of(node: &Node, faults: &mut PlanFaults) -> Option<Vec<LocatedName>> {
     let names = names_of(node, "`write`", faults)?;
     if node.sequence("`write`", faults)?.is_empty() {
-        faults.error(node.place, "`write` must name at least one step");
+        faults.error(node.location, "`write` must name at least one step");
         return None;
     }
     Some(names)
 }
 
 /// A list of names under a key.
-fn names_of(node: &Node, key: &str, faults: &mut PlanFaults) -> Option<Vec<Named>> {
+fn names_of(node: &Node, key: &str, faults: &mut PlanFaults) -> Option<Vec<LocatedName>> {
     let items = node.sequence(key, faults)?;
     let named = |item: &Node| {
         let name = item.text(&format!("an item of {key}"), faults)?.to_owned();
-        let place = item.place;
-        Some(Named { name, place })
+        let location = item.location;
+        Some(LocatedName { name, location })
     };
     Some(items.iter().filter_map(named).collect())
 }
@@ -275,18 +282,18 @@ fn tolerance(fields: &Fields<'_>, faults: &mut PlanFaults) -> f64 {
         Some(_) => {
             let found = entry.value.described();
             let message = format!("`tolerance` must be at least 0 and finite, found {found}");
-            faults.error(entry.value.place, message);
+            faults.error(entry.value.location, message);
             DEFAULT_TOLERANCE
         }
         None => DEFAULT_TOLERANCE,
     }
 }
 
-/// The path of a file, which is relative to the text at a place, relative to the plan itself.
-fn from_plan(file: &str, place: Place, faults: &PlanFaults) -> String {
-    let folder = |place| Path::new(faults.origin(place)).parent();
-    let there = folder(place).unwrap_or(Path::new(""));
-    let here = folder(Place::Text(Position::start_of(0))).unwrap_or(Path::new(""));
+/// The path of a file, which is relative to the text at a location, relative to the plan itself.
+fn from_plan(file: &str, location: Location, faults: &PlanFaults) -> String {
+    let folder = |location| Path::new(faults.origin(location)).parent();
+    let there = folder(location).unwrap_or(Path::new(""));
+    let here = folder(Location::Text(Position::start_of(0))).unwrap_or(Path::new(""));
     match there.strip_prefix(here).unwrap_or(there) {
         same if same == Path::new("") => file.to_owned(),
         other => other.join(file).display().to_string(),

@@ -345,7 +345,7 @@ proptest! {
         // What is said of places is said of other ones.
         again.warnings = plan.warnings.clone();
         for (again, step) in again.steps.iter_mut().zip(&plan.steps) {
-            (again.position, again.body_place) = (step.position, step.body_place);
+            (again.position, again.body_location) = (step.position, step.body_location);
         }
         prop_assert_eq!(&again, &plan, "{}", printed);
     }

@@ -63,7 +63,7 @@ fn ten_different_faults_are_all_reported_where_they_are() {
     let faults = faults_of(&path);
     let places: Vec<(usize, usize)> = faults
         .errors()
-        .map(|fault| fault.place.position())
+        .map(|fault| fault.location.position())
         .map(|position| (position.line, position.column))
         .collect();
     let expected = [

@@ -3,7 +3,7 @@
 
 mod vocabulary;
 
-use evermap_language::{Place, PlanFaults, parse};
+use evermap_language::{Location, PlanFaults, parse};
 use proptest::prelude::*;
 
 const PLANS: [&str; 6] = [
@@ -81,7 +81,7 @@ fn check_places(text: &str, faults: &PlanFaults) {
     let lines_of = |text: &str| 2 + text.matches(['\n', '\r']).count();
     let (lines, base_lines) = (lines_of(text), lines_of(PLANS[4]));
     for fault in faults.iter() {
-        if let Place::Text(position) = fault.place {
+        if let Location::Text(position) = fault.location {
             let lines = if position.source == 0 {
                 lines
             } else {

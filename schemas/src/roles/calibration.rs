@@ -114,7 +114,7 @@ pub(super) fn frame(message: &Message<'_>) -> String {
 }
 
 /// What a message says of a camera that is calibrated, whatever its name.
-pub(super) struct Said {
+pub(super) struct CalibrationMessage {
     stamp: Stamp,
     /// Width and height of its images, px.
     size: [u32; 2],
@@ -128,7 +128,7 @@ pub(super) struct Said {
 ///
 /// # Errors
 /// In words, where it makes no sense, or says that the camera is not calibrated.
-pub(super) fn said(message: &Message<'_>) -> Result<Said, String> {
+pub(super) fn said(message: &Message<'_>) -> Result<CalibrationMessage, String> {
     let fields = &message.fields;
     let whole = ["width", "height"].map(|name| pixels(fields, &[name]));
     let region = region(fields, whole)?;
@@ -148,7 +148,7 @@ pub(super) fn said(message: &Message<'_>) -> Result<Said, String> {
         lens.begin_at(region.from);
         region.size
     });
-    Ok(Said {
+    Ok(CalibrationMessage {
         stamp: message.stamp()?,
         size,
         lens,

@@ -12,7 +12,7 @@ use crate::roles::{Role, depth_frames, frames, label_frames};
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct CameraNames {
     /// Camera by the prefix of its calibration's topic.
-    by_prefix: BTreeMap<String, Named>,
+    by_prefix: BTreeMap<String, NamedCamera>,
     /// The frames that calibrations name of which none is read, by the prefix of their topic.
     unread: BTreeMap<String, String>,
     /// The prefixes of which rectified images alone are read.
@@ -23,7 +23,7 @@ pub struct CameraNames {
 
 /// A calibrated camera, and what it is called.
 #[derive(Debug, Clone, PartialEq)]
-struct Named {
+struct NamedCamera {
     camera: String,
     said: CalibratedCamera,
     /// The first camera of its pair in the pair's axes, where it names that one's frame; in words, why nobody knows how the
@@ -39,7 +39,7 @@ struct First {
 }
 
 impl First {
-    fn of((prefix, Named { said, .. }): (&String, &Named)) -> Self {
+    fn of((prefix, NamedCamera { said, .. }): (&String, &NamedCamera)) -> Self {
         let why = said.unplaced.clone().unwrap_or_default();
         Self {
             prefix: prefix.clone(),
@@ -118,7 +118,7 @@ impl CameraNames {
     /// stands beside another camera of that frame, the first of their pair, by its prefix.
     pub fn add(&mut self, topic: &str, said: CalibratedCamera) {
         let frame = said.frame.clone();
-        let named = Named {
+        let named = NamedCamera {
             camera: frame.clone(),
             said,
             first: None,
@@ -179,7 +179,7 @@ impl CameraNames {
             prefix: prefix.clone(),
             pair_from_camera: Err("expected one with a lens, found none that is read".to_owned()),
         });
-        let is_unknown = |(prefix, named): &(&String, &Named)| {
+        let is_unknown = |(prefix, named): &(&String, &NamedCamera)| {
             named.said.is_beside.is_none() && is_pictured(prefix)
         };
         let unknown = || of_frame().find(is_unknown).map(First::of);
@@ -215,7 +215,7 @@ impl CameraNames {
 
     /// Where cameras are mounted by their first calibrations, by name; those that are not at the frame of their name.
     pub fn mounts(&self) -> BTreeMap<String, CameraMount> {
-        let mount = |(prefix, named): (&String, &Named)| {
+        let mount = |(prefix, named): (&String, &NamedCamera)| {
             if self.calibrated_by(prefix, &named.camera).is_some() {
                 return None;
             }
@@ -255,7 +255,7 @@ impl CameraNames {
     /// What is wrong with a calibration topic whose pictures are not read, as another one with pictures is of the same
     /// camera, or nobody knows how it stands to the first one of its pair, in words; `None` where they are.
     pub fn left_out(&self, topic: &str) -> Option<String> {
-        let Named { camera, first, .. } = self.by_prefix.get(&topic_camera(topic))?;
+        let NamedCamera { camera, first, .. } = self.by_prefix.get(&topic_camera(topic))?;
         if let Some(Err(why)) = first {
             return Some(why.clone());
         }

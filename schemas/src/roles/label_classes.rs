@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use crate::roles::{Read, Role};
+use crate::roles::{ReadRows, Role};
 use crate::{Fault, Record, record};
 
 record! {
@@ -27,7 +27,7 @@ pub const ROLE: Role = Role::of_metadata::<LabelClass>("label_classes", read);
 const MOST_TOLD: usize = 40;
 
 /// Entries whose key is no pixel value are left out, and told.
-fn read(site: &str, session: &str, record: &BTreeMap<String, String>) -> Result<Read, Fault> {
+fn read(site: &str, session: &str, record: &BTreeMap<String, String>) -> Result<ReadRows, Fault> {
     let mut rows = Vec::with_capacity(record.len());
     let mut senseless = Vec::new();
     for (index, (value, class)) in record.iter().enumerate() {
@@ -45,7 +45,7 @@ fn read(site: &str, session: &str, record: &BTreeMap<String, String>) -> Result<
         });
     }
     let columns = LabelClass::encode_columns(rows)?;
-    Ok(Read { columns, senseless })
+    Ok(ReadRows { columns, senseless })
 }
 
 #[cfg(test)]

@@ -27,7 +27,7 @@ pub trait FromMessage: LayerRow {
 
 /// Rows, one array per column, and the messages, or entries of a metadata record, that gave none.
 #[derive(Debug)]
-pub struct Read {
+pub struct ReadRows {
     /// The columns.
     pub columns: Vec<ArrayRef>,
     /// Messages, or entries, whose values make no sense: which of those given, and why.
@@ -35,12 +35,12 @@ pub struct Read {
 }
 
 /// From messages to rows.
-pub type Reader = fn(&[Message<'_>]) -> Result<Read, Fault>;
+pub type Reader = fn(&[Message<'_>]) -> Result<ReadRows, Fault>;
 
 /// From a site, a session and a metadata record to rows.
-pub type MetadataReader = fn(&str, &str, &BTreeMap<String, String>) -> Result<Read, Fault>;
+pub type MetadataReader = fn(&str, &str, &BTreeMap<String, String>) -> Result<ReadRows, Fault>;
 
-pub(super) fn read<T: FromMessage>(messages: &[Message<'_>]) -> Result<Read, Fault> {
+pub(super) fn read<T: FromMessage>(messages: &[Message<'_>]) -> Result<ReadRows, Fault> {
     let mut rows = Vec::with_capacity(messages.len());
     let mut senseless = Vec::new();
     for (index, message) in messages.iter().enumerate() {
@@ -50,7 +50,7 @@ pub(super) fn read<T: FromMessage>(messages: &[Message<'_>]) -> Result<Read, Fau
         }
     }
     let columns = T::encode_columns(rows)?;
-    Ok(Read { columns, senseless })
+    Ok(ReadRows { columns, senseless })
 }
 
 /// One message.

@@ -25,7 +25,7 @@ mod still;
 
 pub use cameras::CameraNames;
 pub use delays::{DELAYS, Delay};
-pub use message::{FARTHEST_M, Fields, FoundImage, FromMessage, Message, Read};
+pub use message::{FARTHEST_M, Fields, FoundImage, FromMessage, Message, ReadRows};
 pub use mounts::Mount;
 pub use raw_format::{BIG_ENDIAN, RawFormat, SampleBits};
 pub use role::{Choice, Messages, Metadata, Role, Source, Topic, UNTYPED, every, in_words};

@@ -57,12 +57,12 @@ fn is_world(frame: &str) -> bool {
 /// has: mounts that are sent again and again. Not those of vehicles, which may stand.
 #[derive(Debug, Clone, Default)]
 pub struct StillFrames {
-    frames: BTreeMap<String, Heard>,
+    frames: BTreeMap<String, FrameMotion>,
 }
 
 /// What was heard of a frame.
 #[derive(Debug, Clone)]
-enum Heard {
+enum FrameMotion {
     /// The same, whenever it was sent.
     Still {
         parent: String,
@@ -84,14 +84,14 @@ impl StillFrames {
         let mut known = match self.frames.entry(sent.child) {
             Occupied(known) => known,
             Vacant(place) => {
-                let still = Heard::Still {
+                let still = FrameMotion::Still {
                     parent: sent.parent,
                     pose: sent.parent_from_child,
                     since: sent.log_time,
                 };
                 if has_room {
                     place.insert(if is_otherwise {
-                        Heard::Otherwise
+                        FrameMotion::Otherwise
                     } else {
                         still
                     });
@@ -99,7 +99,7 @@ impl StillFrames {
                 return;
             }
         };
-        if let Heard::Still {
+        if let FrameMotion::Still {
             parent,
             pose,
             since,
@@ -108,7 +108,7 @@ impl StillFrames {
             *since = (*since).min(sent.log_time);
             let is_same = *parent == sent.parent && apart(pose, &sent.parent_from_child).is_none();
             if is_otherwise || !is_same {
-                known.insert(Heard::Otherwise);
+                known.insert(FrameMotion::Otherwise);
             }
         }
     }
@@ -116,13 +116,13 @@ impl StillFrames {
     /// Whether transforms that are still to come may change which of the frames heard of are still.
     pub fn is_open(&self) -> bool {
         let mut heard = self.frames.values();
-        heard.any(|heard| matches!(heard, Heard::Still { .. }))
+        heard.any(|heard| matches!(heard, FrameMotion::Still { .. }))
     }
 
     /// A row of a message of this log time: of a frame that is still the first one alone, as a fixed transform.
     pub(super) fn settled(&self, row: Transform, log_time: Stamp) -> Option<Transform> {
         match self.frames.get(&row.child) {
-            Some(Heard::Still { since, .. }) if !row.fixed => {
+            Some(FrameMotion::Still { since, .. }) if !row.fixed => {
                 (*since == log_time).then_some(Transform { fixed: true, ..row })
             }
             _ => Some(row),

@@ -8,7 +8,7 @@
 use std::time::Instant;
 
 use evermap_algorithms::ground::danger::DangerField;
-use evermap_algorithms::ground::danger::field::{Seen, Weights};
+use evermap_algorithms::ground::danger::field::{LookCounts, Weights};
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let mut sizes = std::env::args().skip(1).map(|size| size.parse::<i32>());
@@ -20,11 +20,11 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let structured = began.elapsed();
     let count = field.cells().len();
     let priors = vec![0.001; count];
-    let looked = |cell: usize| Seen {
+    let looked = |cell: usize| LookCounts {
         looks: if cell.is_multiple_of(3) { 0.0 } else { 40.0 },
         people: if cell % 97 == 1 { 2.0 } else { 0.0 },
     };
-    let seen: Vec<Seen> = (0..count).map(looked).collect();
+    let seen: Vec<LookCounts> = (0..count).map(looked).collect();
     let weights = Weights {
         prior_looks: 15.0,
         tie_looks: 15.0,

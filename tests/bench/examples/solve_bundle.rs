@@ -20,7 +20,7 @@ use evermap_algorithms::geometry::camera::{Camera, Model};
 use evermap_algorithms::geometry::pose::Pose;
 use evermap_algorithms::geometry::rig::{Rig, RigCamera};
 use evermap_algorithms::metric_map::bundle_adjustment::{
-    self, Keyframe, LinearSolver, Observation, Odometry, Problem, Session,
+    self, Keyframe, LinearSolver, Observation, Odometry, Problem, SessionState,
 };
 use evermap_algorithms::solving::least_squares::{Options, Summary};
 use evermap_bench::timing::shortest;
@@ -282,7 +282,7 @@ fn simulated(keyframes: usize, drives: usize, reach: usize) -> Problem {
     let mut noise = Noise(1);
     let mut problem = Problem {
         rigs: vec![rig()],
-        sessions: vec![Session::new(0); drives],
+        sessions: vec![SessionState::new(0); drives],
         ..Problem::default()
     };
     let mut pose = Pose::identity();

@@ -50,12 +50,12 @@ pub struct ReadError {
     /// Counted from 1; 0 for the file as a whole.
     pub line: usize,
     /// What is wrong with it.
-    pub fault: Fault,
+    pub fault: LineError,
 }
 
 /// What can be wrong with a line.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
-pub enum Fault {
+pub enum LineError {
     /// A tag that is none of those above.
     #[error(
         "expected VERTEX_SE2, EDGE_SE2, VERTEX_SE3:QUAT, EDGE_SE3:QUAT or FIX, found `{found}`"
@@ -139,13 +139,13 @@ pub fn read(text: &str) -> Result<File, ReadError> {
             Some("VERTEX_SE3:QUAT") => spatial.vertex("VERTEX_SE3:QUAT", words),
             Some("EDGE_SE3:QUAT") => spatial.edge("EDGE_SE3:QUAT", line, words),
             Some("FIX") => words.try_for_each(|word| id(word).map(|id| fixed.push((line, id)))),
-            Some(tag) => Err(Fault::Tag {
+            Some(tag) => Err(LineError::Tag {
                 found: tag.chars().take(40).collect(),
             }),
         };
         read.map_err(|fault| ReadError { line, fault })?;
         if !planar.is_empty() && !spatial.is_empty() {
-            let fault = Fault::Mixed;
+            let fault = LineError::Mixed;
             return Err(ReadError { line, fault });
         }
     }
@@ -154,7 +154,7 @@ pub fn read(text: &str) -> Result<File, ReadError> {
         (_, false) => spatial.finish(&fixed).map(File::Spatial),
         _ => Err(ReadError {
             line: 0,
-            fault: Fault::Empty,
+            fault: LineError::Empty,
         }),
     }
 }
@@ -162,13 +162,13 @@ pub fn read(text: &str) -> Result<File, ReadError> {
 /// A pose as the words of a line.
 trait Read<const D: usize>: Motion<D> {
     const NUMBERS: usize;
-    fn from_numbers(numbers: &[f64]) -> Result<Self, Fault>;
+    fn from_numbers(numbers: &[f64]) -> Result<Self, LineError>;
 }
 
 impl Read<3> for PlanarPose {
     const NUMBERS: usize = 3;
 
-    fn from_numbers(numbers: &[f64]) -> Result<Self, Fault> {
+    fn from_numbers(numbers: &[f64]) -> Result<Self, LineError> {
         Ok(PlanarPose::new(numbers[0], numbers[1], numbers[2]))
     }
 }
@@ -176,10 +176,10 @@ impl Read<3> for PlanarPose {
 impl Read<6> for Pose {
     const NUMBERS: usize = 7;
 
-    fn from_numbers(numbers: &[f64]) -> Result<Self, Fault> {
+    fn from_numbers(numbers: &[f64]) -> Result<Self, LineError> {
         let mut seven = [0.0; 7];
         seven.copy_from_slice(numbers);
-        Pose::from_array(seven).map_err(|_| Fault::Quaternion)
+        Pose::from_array(seven).map_err(|_| LineError::Quaternion)
     }
 }
 
@@ -208,12 +208,12 @@ impl<M: Read<D>, const D: usize> Lines<M, D> {
         &mut self,
         tag: &'static str,
         words: impl Iterator<Item = &'t str>,
-    ) -> Result<(), Fault> {
+    ) -> Result<(), LineError> {
         let words = counted(tag, 1 + M::NUMBERS, words)?;
         let id = id(words[0])?;
         let pose = M::from_numbers(&numbers(&words[1..])?)?;
         match self.vertices.insert(id, pose) {
-            Some(_) => Err(Fault::Twice { id }),
+            Some(_) => Err(LineError::Twice { id }),
             None => Ok(()),
         }
     }
@@ -223,11 +223,11 @@ impl<M: Read<D>, const D: usize> Lines<M, D> {
         tag: &'static str,
         line: usize,
         words: impl Iterator<Item = &'t str>,
-    ) -> Result<(), Fault> {
+    ) -> Result<(), LineError> {
         let words = counted(tag, 2 + M::NUMBERS + D * (D + 1) / 2, words)?;
         let (from, to) = (id(words[0])?, id(words[1])?);
         if from == to {
-            return Err(Fault::Loop { id: from });
+            return Err(LineError::Loop { id: from });
         }
         let numbers = numbers(&words[2..])?;
         let (pose, upper) = numbers.split_at(M::NUMBERS);
@@ -267,7 +267,7 @@ impl<M: Read<D>, const D: usize> Lines<M, D> {
             match index(*id) {
                 Some(index) => is_fixed[index] = true,
                 None => {
-                    let (line, fault) = (*line, Fault::Unknown { id: *id });
+                    let (line, fault) = (*line, LineError::Unknown { id: *id });
                     return Err(ReadError { line, fault });
                 }
             }
@@ -293,28 +293,28 @@ fn counted<'t>(
     tag: &'static str,
     expected: usize,
     words: impl Iterator<Item = &'t str>,
-) -> Result<Vec<&'t str>, Fault> {
+) -> Result<Vec<&'t str>, LineError> {
     let words: Vec<_> = words.collect();
     if words.len() == expected {
         return Ok(words);
     }
-    Err(Fault::Count {
+    Err(LineError::Count {
         tag,
         expected,
         found: words.len(),
     })
 }
 
-fn id(word: &str) -> Result<u64, Fault> {
-    word.parse().map_err(|_| Fault::Id {
+fn id(word: &str) -> Result<u64, LineError> {
+    word.parse().map_err(|_| LineError::Id {
         found: word.chars().take(40).collect(),
     })
 }
 
-fn numbers(words: &[&str]) -> Result<Vec<f64>, Fault> {
+fn numbers(words: &[&str]) -> Result<Vec<f64>, LineError> {
     let number = |word: &&str| match word.parse::<f64>() {
         Ok(value) if value.is_finite() => Ok(value),
-        _ => Err(Fault::Number {
+        _ => Err(LineError::Number {
             found: word.chars().take(40).collect(),
         }),
     };
@@ -324,7 +324,7 @@ fn numbers(words: &[&str]) -> Result<Vec<f64>, Fault> {
 /// A matrix of its upper triangle, row by row, and whether it is another one: the nearest (by Frobenius' norm) that is
 /// positive semidefinite, which has 0 for each negative eigenvalue. Source: Higham, *Computing a nearest symmetric
 /// positive semidefinite matrix* (1988), theorem 2.1.
-fn information<const D: usize>(upper: &[f64]) -> Result<(SMatrix<f64, D, D>, bool), Fault> {
+fn information<const D: usize>(upper: &[f64]) -> Result<(SMatrix<f64, D, D>, bool), LineError> {
     let mut matrix = SMatrix::<f64, D, D>::zeros();
     let places = (0..D).flat_map(|row| (row..D).map(move |column| (row, column)));
     for ((row, column), value) in places.zip(upper) {
@@ -339,7 +339,7 @@ fn information<const D: usize>(upper: &[f64]) -> Result<(SMatrix<f64, D, D>, boo
     }
     let eigen = DMatrix::from_column_slice(D, D, matrix.as_slice()).symmetric_eigen();
     if eigen.eigenvalues.max() < 0.0 {
-        return Err(Fault::Information);
+        return Err(LineError::Information);
     }
     let values = DMatrix::from_diagonal(&eigen.eigenvalues.map(|value| value.max(0.0)));
     let nearest = &eigen.eigenvectors * values * eigen.eigenvectors.transpose();

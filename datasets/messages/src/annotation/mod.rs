@@ -68,12 +68,12 @@ pub struct OnImage {
     /// Camera that took it.
     pub camera: String,
     /// What was drawn; `None` where the label is removed.
-    pub drawn: Option<Drawn>,
+    pub drawn: Option<DrawnPixels>,
 }
 
 /// Pixels that were drawn on.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Drawn {
+pub struct DrawnPixels {
     /// `polygon` or `polyline`.
     pub shape: String,
     /// Columns and rows from the upper left corner, px.

@@ -67,7 +67,7 @@ pub(super) struct Descriptors<'a> {
 }
 
 /// What a field's type name means.
-pub(super) enum Named {
+pub(super) enum ResolvedType {
     /// The message of this number.
     Message(usize),
     Enumeration,
@@ -301,14 +301,18 @@ impl<'a> Descriptors<'a> {
     /// The message that is called so in full.
     pub(super) fn message_named(&mut self, name: &str) -> Result<usize, SchemaError> {
         match self.lookup(0, name)? {
-            Some(Named::Message(scope)) => Ok(scope),
+            Some(ResolvedType::Message(scope)) => Ok(scope),
             _ => Err(self.unknown(name)),
         }
     }
 
     /// What a type name means in a message: the full name behind a dot, else a name looked for from the innermost
     /// scope outwards.
-    pub(super) fn resolve(&mut self, within: usize, name: &str) -> Result<Named, SchemaError> {
+    pub(super) fn resolve(
+        &mut self,
+        within: usize,
+        name: &str,
+    ) -> Result<ResolvedType, SchemaError> {
         let mut scope = within;
         if let Some(full) = name.strip_prefix('.') {
             return self.lookup(0, full)?.ok_or_else(|| self.unknown(full));
@@ -324,7 +328,7 @@ impl<'a> Descriptors<'a> {
         }
     }
 
-    fn lookup(&mut self, from: usize, name: &str) -> Result<Option<Named>, SchemaError> {
+    fn lookup(&mut self, from: usize, name: &str) -> Result<Option<ResolvedType>, SchemaError> {
         let mut scope = from;
         for part in name.split('.') {
             self.budget.spend(part.len() + 1)?;
@@ -335,8 +339,8 @@ impl<'a> Descriptors<'a> {
         }
         let found = &self.scopes[scope];
         Ok(match (&found.message, found.enumeration) {
-            (Some(_), _) => Some(Named::Message(scope)),
-            (None, true) => Some(Named::Enumeration),
+            (Some(_), _) => Some(ResolvedType::Message(scope)),
+            (None, true) => Some(ResolvedType::Enumeration),
             (None, false) => None,
         })
     }

@@ -2,7 +2,7 @@
 
 use super::plan::{Plan, Shape, Slot};
 use super::wire::{Value, WireReader};
-use super::{Open, Sink};
+use super::{OpenMessage, Sink};
 use crate::DecodeError;
 use crate::buffers::{Node, offset};
 use std::collections::HashMap;
@@ -41,7 +41,7 @@ impl Sink<'_> {
     /// Takes all entries of a map together, from where in the message the first was met.
     pub(super) fn entries(
         &mut self,
-        open: Open,
+        open: OpenMessage,
         index: usize,
         (entry, key): (&Plan, &Slot),
         at: usize,

@@ -24,7 +24,7 @@ use wire::{Value, WireReader};
 
 /// What was met of a slot in the message at hand.
 #[derive(Debug, Clone, Copy, Default)]
-struct Met {
+struct SlotState {
     count: usize,
     /// Where in the message the first was met.
     first: usize,
@@ -35,7 +35,7 @@ struct Met {
 /// Reads payloads of one message type.
 pub(crate) struct Reader {
     plan: Arc<Plan>,
-    met: Vec<Met>,
+    met: Vec<SlotState>,
 }
 
 impl Reader {
@@ -67,13 +67,13 @@ impl Format for Reader {
 struct Sink<'a> {
     pool: &'a mut Pool,
     /// A stack: one stretch for each message that is open.
-    met: &'a mut Vec<Met>,
+    met: &'a mut Vec<SlotState>,
     budget: MessageBudget,
 }
 
 /// A message being read into row `row` of its columns.
 #[derive(Clone, Copy)]
-struct Open<'a> {
+struct OpenMessage<'a> {
     plan: &'a Plan,
     to: &'a Node,
     row: usize,
@@ -93,8 +93,9 @@ impl Sink<'_> {
     ) -> Result<(), DecodeError> {
         self.budget.spend(plan.own_bytes)?;
         let base = self.met.len();
-        self.met.resize(base + plan.slots.len(), Met::default());
-        let open = Open {
+        self.met
+            .resize(base + plan.slots.len(), SlotState::default());
+        let open = OpenMessage {
             plan,
             to,
             row,
@@ -109,7 +110,7 @@ impl Sink<'_> {
         Ok(())
     }
 
-    fn fields(&mut self, open: Open) -> Result<(), DecodeError> {
+    fn fields(&mut self, open: OpenMessage) -> Result<(), DecodeError> {
         let mut reader = WireReader::new(open.data);
         let mut guess = 0;
         loop {
@@ -153,7 +154,7 @@ impl Sink<'_> {
     }
 
     /// Of a `oneof`, only the last member met stands.
-    fn clear_siblings(&mut self, open: Open, index: usize) -> Result<(), DecodeError> {
+    fn clear_siblings(&mut self, open: OpenMessage, index: usize) -> Result<(), DecodeError> {
         let Some(oneof) = open.plan.slots[index].oneof else {
             return Ok(());
         };
@@ -162,7 +163,7 @@ impl Sink<'_> {
         for (other, slot) in open.plan.slots.iter().enumerate() {
             let met = &mut self.met[open.base + other];
             if other != index && slot.oneof == Some(oneof) && met.count > 0 {
-                *met = Met::default();
+                *met = SlotState::default();
                 let node = open.to.member(slot.column);
                 node.truncate(self.pool, open.row);
             }
@@ -172,7 +173,7 @@ impl Sink<'_> {
 
     fn singular(
         &mut self,
-        open: Open,
+        open: OpenMessage,
         index: usize,
         value: Value,
         at: usize,
@@ -196,7 +197,7 @@ impl Sink<'_> {
     /// of them as one, which is what merging means.
     fn part(
         &mut self,
-        open: Open,
+        open: OpenMessage,
         index: usize,
         plan: &Plan,
         bytes: &[u8],

@@ -1,6 +1,6 @@
 //! A protobuf message type as slots by field number, and its Arrow fields.
 
-use super::descriptors::{Descriptors, FieldDescriptor, Named};
+use super::descriptors::{Descriptors, FieldDescriptor, ResolvedType};
 use crate::{MAX_DEPTH, SchemaError};
 use arrow::datatypes::{DataType, Field, Fields};
 use std::collections::HashSet;
@@ -255,8 +255,8 @@ impl<'a> Builder<'a> {
 
     fn named(&mut self, place: usize, field: &FieldDescriptor<'a>) -> Result<Kind, SchemaError> {
         let target = match self.types.resolve(place, field.type_name)? {
-            Named::Message(target) => target,
-            Named::Enumeration => {
+            ResolvedType::Message(target) => target,
+            ResolvedType::Enumeration => {
                 return Ok(Kind {
                     shape: Shape::Varint32 { zigzag: false },
                     data_type: DataType::Int32,

@@ -13,14 +13,14 @@ pub(super) struct References(pub(super) Vec<(i64, bool)>);
 /// A picture that another one, or one after it, refers to.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct Reference {
-    pub(super) place: Place,
+    pub(super) order: OrderCount,
     /// Whether the picture itself needs it.
     pub(super) used: bool,
 }
 
-/// How a place is said.
+/// How the order count of a picture, the place in which it is shown, is said.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Place {
+pub(super) enum OrderCount {
     /// By how far it is behind the picture.
     Behind(i64),
     /// By its lowest bits.
@@ -29,17 +29,17 @@ pub(super) enum Place {
 
 /// A picture that refers to others.
 pub(super) struct Picture {
-    pub(super) place: i64,
+    pub(super) order: i64,
     /// Lowest bits are less than this.
     pub(super) round: i64,
 }
 
 impl Picture {
-    /// Whether a picture at a place is the one that is referred to.
-    pub(super) fn is(&self, reference: &Reference, place: i64) -> bool {
-        match reference.place {
-            Place::Behind(behind) => self.place + behind == place,
-            Place::Lowest(lowest) => place.rem_euclid(self.round) == lowest,
+    /// Whether a picture of an order count is the one that is referred to.
+    pub(super) fn is(&self, reference: &Reference, order: i64) -> bool {
+        match reference.order {
+            OrderCount::Behind(behind) => self.order + behind == order,
+            OrderCount::Lowest(lowest) => order.rem_euclid(self.round) == lowest,
         }
     }
 }
@@ -47,7 +47,7 @@ impl Picture {
 impl Reference {
     pub(super) fn near((behind, used): (i64, bool)) -> Self {
         Self {
-            place: Place::Behind(behind),
+            order: OrderCount::Behind(behind),
             used,
         }
     }

@@ -1,7 +1,7 @@
 //! What a sequence parameter set says of heads (7.3.2.2).
 
 use crate::bits::{Bits, index_bits};
-use crate::h265::references::{Place, Reference, References};
+use crate::h265::references::{OrderCount, Reference, References};
 
 /// Most sets of references of a sequence.
 const MOST_SETS: u32 = 64;
@@ -12,8 +12,8 @@ const MOST_FAR: u32 = 32;
 #[derive(Debug, Clone)]
 pub(super) struct Sequence {
     pub(super) separate_planes: bool,
-    /// Bits of a place that heads say.
-    pub(super) place_bits: u32,
+    /// Bits of an order count that heads say.
+    pub(super) order_bits: u32,
     pub(super) references: Vec<References>,
     far: Option<Far>,
 }
@@ -36,7 +36,7 @@ impl Sequence {
             bits.pass(4)?;
         }
         bits.pass(2)?;
-        let place_bits = bits.up_to(12)? + 4;
+        let order_bits = bits.up_to(12)? + 4;
         let told = if bits.flag()? { layers + 1 } else { 1 };
         bits.pass(3 * told)?;
         bits.pass(6)?;
@@ -56,19 +56,19 @@ impl Sequence {
             references.push(set);
         }
         let far = match bits.flag()? {
-            true => Some(far(&mut bits, place_bits)?),
+            true => Some(far(&mut bits, order_bits)?),
             false => None,
         };
         let sequence = Self {
             separate_planes,
-            place_bits,
+            order_bits,
             references,
             far,
         };
         Some((id, sequence))
     }
 
-    /// Adds the pictures far away that a head names, whose own place has these lowest bits (7-52, 8-5).
+    /// Adds the pictures far away that a head names, whose own order count has these lowest bits (7-52, 8-5).
     pub(super) fn add_far(
         &self,
         bits: &mut Bits<'_>,
@@ -88,7 +88,7 @@ impl Sequence {
                     let index = bits.number(index_bits(count))?;
                     *known.get(usize::try_from(index).ok()?)?
                 }
-                false => (i64::from(bits.number(self.place_bits)?), bits.flag()?),
+                false => (i64::from(bits.number(self.order_bits)?), bits.flag()?),
             };
             if at == by_index {
                 rounds = 0;
@@ -97,20 +97,20 @@ impl Sequence {
             if is_exact {
                 rounds += i64::from(bits.unsigned()?);
             }
-            let place = match is_exact {
-                true => Place::Behind(low - lowest - (rounds << self.place_bits)),
-                false => Place::Lowest(low),
+            let order = match is_exact {
+                true => OrderCount::Behind(low - lowest - (rounds << self.order_bits)),
+                false => OrderCount::Lowest(low),
             };
-            references.push(Reference { place, used });
+            references.push(Reference { order, used });
         }
         Some(())
     }
 }
 
-fn far(bits: &mut Bits<'_>, place_bits: u32) -> Option<Far> {
+fn far(bits: &mut Bits<'_>, order_bits: u32) -> Option<Far> {
     let mut far = Vec::new();
     for _ in 0..bits.up_to(MOST_FAR)? {
-        far.push((i64::from(bits.number(place_bits)?), bits.flag()?));
+        far.push((i64::from(bits.number(order_bits)?), bits.flag()?));
     }
     Some(far)
 }

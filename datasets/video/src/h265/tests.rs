@@ -80,7 +80,7 @@ fn missing() -> Result<(), String> {
 fn a_sequence_is_read_with_its_sets_of_references() {
     let unit = sequence();
     let (id, read) = Sequence::read(&unit[3..]).unwrap();
-    assert_eq!((id, read.place_bits, read.separate_planes), (0, 4, false));
+    assert_eq!((id, read.order_bits, read.separate_planes), (0, 4, false));
     let sets = [vec![(-1, true)], vec![(-1, true), (-2, false)]];
     assert_eq!(read.references, sets.map(References));
 }

@@ -10,7 +10,7 @@ use super::layout::{AISLES, BAY_DEPTH_M, BAY_WIDTH_M, Layout, NOSE_M, Node, Rect
 use crate::WorldError;
 use crate::plane::{Pose2, between, distance, heading};
 use crate::random::nanoseconds;
-use crate::record::{LIBRARY, Session};
+use crate::record::{LIBRARY, SimulatedSession};
 use crate::vehicle::Ground;
 use evermap_algorithms::geometry::pose::Pose;
 use evermap_algorithms::ground::boxes::GroundBox;
@@ -58,7 +58,7 @@ fn said(hall: &Hall<'_>) -> Vec<Annotation> {
     let Some(first) = hall.visits.first() else {
         return Vec::new();
     };
-    let drive = Drive::new(&first.session, hall.layout.ground);
+    let drive = AnnotatedDrive::new(&first.session, hall.layout.ground);
     let mut acts = Vec::new();
     let crossings = hall.layout.crossings.iter().enumerate();
     acts.extend(crossings.filter_map(|(index, crossing)| {
@@ -200,8 +200,8 @@ const SPACE: Outline = Outline {
 };
 
 /// The drive whose poses labels are tied to.
-struct Drive<'a> {
-    session: &'a Session,
+struct AnnotatedDrive<'a> {
+    session: &'a SimulatedSession,
     ground: Ground,
     /// When images were taken under way, and where.
     poses: Vec<(u64, Pose)>,
@@ -209,8 +209,8 @@ struct Drive<'a> {
     map_from_truth: Pose,
 }
 
-impl<'a> Drive<'a> {
-    fn new(session: &'a Session, ground: Ground) -> Self {
+impl<'a> AnnotatedDrive<'a> {
+    fn new(session: &'a SimulatedSession, ground: Ground) -> Self {
         let under_way = ENDS_M..session.drive.length_m() - ENDS_M;
         let driven = |stamp: &u64| session.drive.motion(session.seconds(*stamp)).s;
         let stamps = session.stamps.iter().copied();

@@ -15,7 +15,7 @@ use rand_chacha::ChaCha8Rng;
 
 /// A face with the eye's position worked in.
 #[derive(Clone, Copy)]
-struct Painted {
+struct PaintedFace {
     texture: usize,
     light: f32,
     u: [f32; 4],
@@ -27,7 +27,7 @@ struct Painted {
     area: f32,
 }
 
-impl Painted {
+impl PaintedFace {
     fn new(face: &Face, eye: [f32; 3], omega: f32) -> Self {
         let at = |a: [f32; 4]| {
             let origin = a[0] * eye[0] + a[1] * eye[1] + a[2] * eye[2] + a[3];
@@ -85,8 +85,8 @@ impl Studio<'_> {
         let eye = Eye::new(lens, &visit.session.map_from_vehicle(stamp));
         let at = eye.position();
         let faces = scene.faces.iter();
-        let painted: Vec<Painted> = faces
-            .map(|face| Painted::new(face, at, lens.omega))
+        let painted: Vec<PaintedFace> = faces
+            .map(|face| PaintedFace::new(face, at, lens.omega))
             .collect();
         let moving = scene.walkers_at(&visit.walkers, visit.session.seconds(stamp));
         let seen = seen_from(at, scene.solids.iter().chain(&moving));
@@ -174,7 +174,7 @@ fn meet_room(scene: &Scene, eye: [f32; 3], scratch: &mut Scratch) {
 }
 
 /// How bright everything is where the rays end.
-fn shade(scene: &Scene, painted: &[Painted], scratch: &mut Scratch) {
+fn shade(scene: &Scene, painted: &[PaintedFace], scratch: &mut Scratch) {
     let Scratch {
         rays,
         t,

@@ -6,7 +6,7 @@ use super::layout::Layout;
 use super::route::Route;
 use super::walkers::{Walker, walkers};
 use crate::random::stream;
-use crate::record::{Session, shutter};
+use crate::record::{SimulatedSession, shutter};
 use crate::vehicle::{Imu, Receiver, Trajectory, Wheels};
 
 const DAY_NS: u64 = 86_400_000_000_000;
@@ -14,7 +14,7 @@ const DAY_NS: u64 = 86_400_000_000_000;
 /// A session before it is rendered.
 pub struct Visit {
     /// The drive.
-    pub session: Session,
+    pub session: SimulatedSession,
     /// Where it goes.
     pub route: Route,
     /// Who is parked.
@@ -23,8 +23,8 @@ pub struct Visit {
     pub walkers: Vec<Walker>,
 }
 
-impl AsRef<Session> for Visit {
-    fn as_ref(&self) -> &Session {
+impl AsRef<SimulatedSession> for Visit {
+    fn as_ref(&self) -> &SimulatedSession {
         &self.session
     }
 }
@@ -45,7 +45,7 @@ impl Visit {
             route,
             parked: parked_cars(world, layout, index),
             walkers: walkers(world, layout, index, &drive),
-            session: Session {
+            session: SimulatedSession {
                 seed: world.seed,
                 index,
                 name: match index {

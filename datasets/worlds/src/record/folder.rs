@@ -1,6 +1,6 @@
 //! A folder that appears under its name only when everything is in it.
 
-use super::Session;
+use super::SimulatedSession;
 use crate::WorldError;
 use serde_json::Value;
 use std::fmt::Write as _;
@@ -45,7 +45,7 @@ impl Folder {
     pub fn save_poses(
         &self,
         name: &str,
-        session: &Session,
+        session: &SimulatedSession,
         stamps: impl Iterator<Item = u64>,
     ) -> Result<(), WorldError> {
         let mut text = String::from("# stamp_s x y z qx qy qz qw (map_from_vehicle)\n");

@@ -9,7 +9,7 @@ mod session;
 
 pub use folder::Folder;
 pub use picture::{deep_png, grey_png, jpeg};
-pub use session::{CameraTopics, Sensors, Session, shutter};
+pub use session::{CameraTopics, Sensors, SimulatedSession, shutter};
 
 use crate::WorldError;
 use evermap_recording::LogWriter;
@@ -62,7 +62,7 @@ pub struct Summary {
 /// A world, built and ready to be driven through.
 pub trait World {
     /// A session, and what the world knows about it besides.
-    type Visit: AsRef<Session>;
+    type Visit: AsRef<SimulatedSession>;
 
     /// The sessions to be written, in order.
     fn visits(&self) -> &[Self::Visit];
@@ -95,7 +95,7 @@ pub fn simulate(
     std::fs::create_dir_all(out).map_err(|error| WorldError::io(out, error))?;
     let truth = world.write_truth(out)?;
     let cameras = world.sensors().cameras.len();
-    let images = |session: &Session| session.stamps.len() * cameras;
+    let images = |session: &SimulatedSession| session.stamps.len() * cameras;
     let visits = world.visits();
     let all_images_total = visits.iter().map(|visit| images(visit.as_ref())).sum();
     let mut sessions = Vec::with_capacity(visits.len());

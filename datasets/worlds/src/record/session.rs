@@ -22,7 +22,7 @@ const BATCH: usize = 24;
 
 /// One drive through a world, before anything is rendered.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Session {
+pub struct SimulatedSession {
     /// Everything random in its world is drawn from this number.
     pub seed: u64,
     /// Counted from 0.
@@ -112,7 +112,7 @@ pub fn shutter(start_ns: u64, seconds: f64, rng: &mut ChaCha8Rng) -> u64 {
     start_ns + nanoseconds(seconds + late)
 }
 
-impl Session {
+impl SimulatedSession {
     /// Seconds since the session's start.
     pub fn seconds(&self, stamp_ns: u64) -> f64 {
         stamp_ns.saturating_sub(self.start_ns) as f64 * 1e-9

@@ -9,7 +9,7 @@ use std::f32::consts::PI;
 pub const FAR: f32 = 1e9;
 
 /// A solid as seen from one eye: planes it lies behind, and planes it lies in front of.
-pub struct Seen {
+pub struct VisibleSolid {
     /// Where it may show.
     pub window: Window,
     /// No point is nearer than this, metres.
@@ -33,7 +33,7 @@ enum Shape {
     },
 }
 
-impl Seen {
+impl VisibleSolid {
     /// A solid; `None` when it surrounds the eye. Its faces are numbered from `first`.
     pub fn new(solid: &Solid, eye: [f32; 3], first: u32) -> Option<Self> {
         let (mut towards, mut away) = (Vec::new(), Vec::new());
@@ -163,7 +163,7 @@ impl Eye {
 pub fn cast<const LAYERS: usize>(
     lens: &Lens,
     eye: &Eye,
-    layers: [&[Seen]; LAYERS],
+    layers: [&[VisibleSolid]; LAYERS],
     surround: impl Fn(&mut Scratch),
     mut met: impl FnMut(usize, usize, &mut Scratch),
 ) {
@@ -181,19 +181,19 @@ pub fn cast<const LAYERS: usize>(
 }
 
 /// The solids as seen from `eye`, nearest first; without those that surround it.
-pub fn seen_from<'a>(eye: [f32; 3], solids: impl Iterator<Item = &'a Solid>) -> Vec<Seen> {
-    let seen = solids.filter_map(|solid| Seen::new(solid, eye, 0));
+pub fn seen_from<'a>(eye: [f32; 3], solids: impl Iterator<Item = &'a Solid>) -> Vec<VisibleSolid> {
+    let seen = solids.filter_map(|solid| VisibleSolid::new(solid, eye, 0));
     nearest_first(seen.collect())
 }
 
 /// Sorts by distance.
-pub fn nearest_first(mut seen: Vec<Seen>) -> Vec<Seen> {
+pub fn nearest_first(mut seen: Vec<VisibleSolid>) -> Vec<VisibleSolid> {
     seen.sort_by(|a, b| a.near.total_cmp(&b.near));
     seen
 }
 
 /// Lets the rays of a tile end at the first of the solids, which are sorted by distance.
-pub fn meet_solids(solids: &[Seen], window: &Window, scratch: &mut Scratch) {
+pub fn meet_solids(solids: &[VisibleSolid], window: &Window, scratch: &mut Scratch) {
     let mut farthest = highest(&scratch.t);
     for seen in solids {
         if seen.near > farthest {
@@ -217,7 +217,7 @@ fn highest(values: &Lanes) -> f32 {
 }
 
 /// Lets the rays of a tile end at one solid, where it is nearer than what they met before.
-pub fn meet_solid(seen: &Seen, scratch: &mut Scratch) {
+pub fn meet_solid(seen: &VisibleSolid, scratch: &mut Scratch) {
     match &seen.shape {
         Shape::Convex { towards, away } => meet_convex(towards, away, scratch),
         Shape::Ellipsoid {

@@ -9,7 +9,7 @@ mod cast;
 mod lens;
 mod solid;
 
-pub use cast::{Eye, FAR, Scratch, Seen, cast, nearest_first, seen_from};
+pub use cast::{Eye, FAR, Scratch, VisibleSolid, cast, nearest_first, seen_from};
 #[cfg(test)]
 pub use cast::{meet_solid, meet_solids};
 #[cfg(test)]

@@ -2,7 +2,7 @@
 
 use super::classes::Class;
 use crate::plane::{Pose2, distance};
-use crate::render::{Seen, Side, Solid, box_sides, nearest_first};
+use crate::render::{Side, Solid, VisibleSolid, box_sides, nearest_first};
 use nalgebra::Vector3;
 use std::f64::consts::FRAC_PI_3;
 
@@ -91,13 +91,13 @@ pub struct Surface {
 pub const FACES: u32 = 8;
 
 /// A part of a thing, in the thing's frame, metres.
-enum Part {
+enum Primitive {
     /// Its sides, and the corners (low, high) of a box around it.
     Convex(Vec<Side>, [f64; 3], [f64; 3]),
     /// An upright ellipsoid: its centre, and its radii (horizontal, vertical).
     Ball([f64; 3], [f64; 2]),
 }
-use Part::{Ball, Convex};
+use Primitive::{Ball, Convex};
 
 /// What surrounds one eye (metres).
 pub struct Stage {
@@ -116,7 +116,7 @@ impl Stage {
     }
 
     /// The things that are near enough to be seen, but not the eye's own place, nearest first.
-    pub fn with<'a>(&mut self, things: impl Iterator<Item = &'a Thing>) -> Vec<Seen> {
+    pub fn with<'a>(&mut self, things: impl Iterator<Item = &'a Thing>) -> Vec<VisibleSolid> {
         let mut seen = Vec::new();
         for thing in things {
             let away = distance([self.eye[0], self.eye[1]], thing.pose.at());
@@ -127,7 +127,7 @@ impl Stage {
         nearest_first(seen)
     }
 
-    fn put(&mut self, thing: &Thing, seen: &mut Vec<Seen>) {
+    fn put(&mut self, thing: &Thing, seen: &mut Vec<VisibleSolid>) {
         let Pose2 { x, y, yaw } = thing.pose;
         let [ex, ey, ez] = self.eye;
         let stand = Pose2::new([x - ex, y - ey], yaw).upright(-ez);
@@ -136,12 +136,13 @@ impl Stage {
             let (part, ball) = match part {
                 Convex(sides, low, high) => {
                     let solid = Solid::new(&stand, &sides, low.into(), high.into());
-                    (Seen::new(&solid, [0.0; 3], first), None)
+                    (VisibleSolid::new(&solid, [0.0; 3], first), None)
                 }
                 Ball([ahead, left, up], radii) => {
                     let [x, y] = thing.pose.point([ahead, left]);
                     let from_eye = [x - ex, y - ey, up - ez].map(|part| part as f32);
-                    let part = Seen::ellipsoid(from_eye, radii.map(|radius| radius as f32), first);
+                    let part =
+                        VisibleSolid::ellipsoid(from_eye, radii.map(|radius| radius as f32), first);
                     (part, Some(([x, y, up], radii)))
                 }
             };
@@ -179,7 +180,7 @@ impl Thing {
         }
     }
 
-    fn parts(&self) -> Vec<(Finish, Part)> {
+    fn parts(&self) -> Vec<(Finish, Primitive)> {
         use Finish::{Board, Leaves, Plain};
         match self.shape {
             Shape::House(size) => house(size),
@@ -214,16 +215,16 @@ impl Thing {
     }
 }
 
-fn cuboid(low: [f64; 3], high: [f64; 3]) -> Part {
+fn cuboid(low: [f64; 3], high: [f64; 3]) -> Primitive {
     Convex(box_sides(low, high).to_vec(), low, high)
 }
 
-fn trunk(half: f64, height: f64) -> (Finish, Part) {
+fn trunk(half: f64, height: f64) -> (Finish, Primitive) {
     let wood = cuboid([-half, -half, 0.0], [half, half, height]);
     (Finish::Bark, wood)
 }
 
-fn house([a, b, wall, roof]: [f64; 4]) -> Vec<(Finish, Part)> {
+fn house([a, b, wall, roof]: [f64; 4]) -> Vec<(Finish, Primitive)> {
     let mut parts = vec![(Finish::Facade, cuboid([-a, -b, 0.0], [a, b, wall]))];
     if roof > 0.0 {
         // A gable along the front: two slopes with eaves.
@@ -242,7 +243,7 @@ fn house([a, b, wall, roof]: [f64; 4]) -> Vec<(Finish, Part)> {
     parts
 }
 
-fn broadleaf([height, radius, wood]: [f64; 3], chance: u32) -> Vec<(Finish, Part)> {
+fn broadleaf([height, radius, wood]: [f64; 3], chance: u32) -> Vec<(Finish, Primitive)> {
     let half = 0.5 * (height - wood);
     let middle = wood + half;
     let crown = Ball([0.0, 0.0, middle], [radius, half]);
@@ -263,7 +264,7 @@ fn broadleaf([height, radius, wood]: [f64; 3], chance: u32) -> Vec<(Finish, Part
 }
 
 /// A pyramid of six sides that begins a metre above the ground.
-fn cone(height: f64, radius: f64) -> Part {
+fn cone(height: f64, radius: f64) -> Primitive {
     let low = 0.9;
     let mut sides: Vec<Side> = (0..6)
         .map(|k| {
@@ -277,7 +278,7 @@ fn cone(height: f64, radius: f64) -> Part {
     Convex(sides, [-wide, -wide, low], [wide, wide, height])
 }
 
-fn car([length, width, height, cabin]: [f64; 4]) -> Vec<(Finish, Part)> {
+fn car([length, width, height, cabin]: [f64; 4]) -> Vec<(Finish, Primitive)> {
     let (a, b) = (0.5 * length, 0.5 * width);
     let belt = 0.58 * height;
     let wheels = |end: f64| {

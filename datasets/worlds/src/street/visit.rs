@@ -7,7 +7,7 @@ use super::things::Thing;
 use super::traffic::Traffic;
 use crate::plane::distance;
 use crate::random::stream;
-use crate::record::{Session, shutter};
+use crate::record::{SimulatedSession, shutter};
 use crate::vehicle::{Ground, Path, PathPoint, Trajectory, Wheels};
 use rand::Rng;
 
@@ -19,15 +19,15 @@ const STEP_M: f64 = 0.25;
 /// A session before it is rendered.
 pub struct Visit {
     /// The drive.
-    pub session: Session,
+    pub session: SimulatedSession,
     /// Other road users.
     pub traffic: Traffic,
     /// Offset to the left of the usual line, metres.
     pub offset_m: f64,
 }
 
-impl AsRef<Session> for Visit {
-    fn as_ref(&self) -> &Session {
+impl AsRef<SimulatedSession> for Visit {
+    fn as_ref(&self) -> &SimulatedSession {
         &self.session
     }
 }
@@ -54,7 +54,7 @@ impl Visit {
         Self {
             traffic: Traffic::new(world, &scenery.land, &scenery.town, index),
             offset_m,
-            session: Session {
+            session: SimulatedSession {
                 seed: world.seed,
                 index,
                 name: format!("visit_{letter}"),

@@ -45,9 +45,9 @@ impl Act {
     }
 }
 
-/// One act.
+/// One act of annotation.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Said<'a> {
+pub struct Annotation<'a> {
     /// The label that it is about.
     pub label: &'a str,
     /// When, ns since the epoch.
@@ -77,7 +77,7 @@ pub struct Label {
 
 /// What holds, and how much did not fit together.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
-pub struct Folded<'a> {
+pub struct FoldedLabels<'a> {
     /// The labels that there are, by name.
     pub labels: BTreeMap<&'a str, Label>,
     /// Labels that were removed.
@@ -96,10 +96,10 @@ struct State<'a> {
 }
 
 /// Folds acts, in any order, into the labels that there are.
-pub fn folded<'a>(acts: &[Said<'a>]) -> Folded<'a> {
+pub fn folded<'a>(acts: &[Annotation<'a>]) -> FoldedLabels<'a> {
     let mut order: Vec<usize> = (0..acts.len()).collect();
     let key = |at: &usize| {
-        let Said {
+        let Annotation {
             label,
             stamp,
             author,
@@ -111,7 +111,7 @@ pub fn folded<'a>(acts: &[Said<'a>]) -> Folded<'a> {
         (stamp, author, sequence, log, label, act, *at)
     };
     order.sort_by_key(key);
-    let mut folded = Folded::default();
+    let mut folded = FoldedLabels::default();
     let mut states: BTreeMap<&str, State<'_>> = BTreeMap::new();
     for at in order {
         let said = acts[at];
@@ -141,7 +141,7 @@ pub fn folded<'a>(acts: &[Said<'a>]) -> Folded<'a> {
 }
 
 impl<'a> State<'a> {
-    fn begun(at: usize, said: &Said<'a>) -> Self {
+    fn begun(at: usize, said: &Annotation<'a>) -> Self {
         let label = Label {
             standing: Act::Drawn,
             place: at,
@@ -157,7 +157,7 @@ impl<'a> State<'a> {
     }
 
     /// Whether the act does not fit what another person said last.
-    fn contradicts(&self, said: &Said<'_>) -> bool {
+    fn contradicts(&self, said: &Annotation<'_>) -> bool {
         let clash = match said.act {
             Act::Drawn => !self.removed,
             Act::Accepted => self.removed || self.label.standing == Act::Rejected,
@@ -168,7 +168,7 @@ impl<'a> State<'a> {
         clash && self.author != said.author
     }
 
-    fn take(&mut self, at: usize, said: &Said<'a>) {
+    fn take(&mut self, at: usize, said: &Annotation<'a>) {
         self.label.last = at;
         self.author = said.author;
         self.removed = said.act == Act::Removed;
@@ -186,8 +186,8 @@ mod tests {
     use super::*;
     use proptest::prelude::*;
 
-    fn said<'a>(stamp: i64, author: &'a str, label: &'a str, act: Act) -> Said<'a> {
-        Said {
+    fn said<'a>(stamp: i64, author: &'a str, label: &'a str, act: Act) -> Annotation<'a> {
+        Annotation {
             label,
             stamp,
             author,
@@ -253,7 +253,7 @@ mod tests {
         assert_eq!(found.labels.keys().collect::<Vec<_>>(), [&"y"]);
     }
 
-    fn acts() -> impl Strategy<Value = Vec<Said<'static>>> {
+    fn acts() -> impl Strategy<Value = Vec<Annotation<'static>>> {
         let names = || proptest::sample::select(vec!["a", "b", "c"]);
         let act = proptest::sample::select(vec![
             Act::Drawn,
@@ -271,19 +271,21 @@ mod tests {
             act,
             any::<bool>(),
         );
-        let one = one.prop_map(|(label, stamp, author, sequence, log, act, places)| Said {
-            label,
-            stamp,
-            author,
-            sequence,
-            log,
-            act,
-            places: places || act == Act::Drawn,
-        });
+        let one = one.prop_map(
+            |(label, stamp, author, sequence, log, act, places)| Annotation {
+                label,
+                stamp,
+                author,
+                sequence,
+                log,
+                act,
+                places: places || act == Act::Drawn,
+            },
+        );
         proptest::collection::vec(one, 0..12)
     }
 
-    fn order_of(said: &Said<'static>) -> impl Ord + use<> {
+    fn order_of(said: &Annotation<'static>) -> impl Ord + use<> {
         (
             said.label,
             said.stamp,
@@ -303,7 +305,7 @@ mod tests {
             distinct.dedup_by_key(|said| order_of(said));
             let reversed: Vec<_> = distinct.iter().rev().copied().collect();
             let (one, other) = (folded(&distinct), folded(&reversed));
-            let named = |folded: &Folded<'static>, acts: &[Said<'static>]| -> Vec<_> {
+            let named = |folded: &FoldedLabels<'static>, acts: &[Annotation<'static>]| -> Vec<_> {
                 let labels = folded.labels.iter();
                 labels.map(|(name, label)| (*name, label.standing, acts[label.place], acts[label.last])).collect()
             };

@@ -24,7 +24,7 @@ pub(super) struct Visibility {
 
 /// How a landmark was seen.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Seen {
+pub(super) struct ViewCone {
     /// Mean direction to the cameras, a unit vector.
     pub(super) view: Vector3<f64>,
     /// Cosine of the largest angle between it and the direction to a camera.
@@ -37,7 +37,7 @@ impl Visibility {
     /// From directions that are `slack_rad` outside the cone that it was seen from, and ranges that differ by this factor.
     pub(super) fn new(
         landmark: Vector3<f64>,
-        seen: &Seen,
+        seen: &ViewCone,
         slack_rad: f64,
         range_slack: f64,
     ) -> Self {
@@ -127,7 +127,7 @@ mod tests {
             prop_assume!(Vector3::from(view).norm() > 0.1);
             let [landmark, camera] = [landmark, camera].map(Vector3::from);
             let view = Vector3::from(view).normalize();
-            let seen = Seen { view, view_cos: half_rad.cos(), ranges_m: [3.0, 10.0] };
+            let seen = ViewCone { view, view_cos: half_rad.cos(), ranges_m: [3.0, 10.0] };
             let visibility = Visibility::new(landmark, &seen, slack_rad, 1.5);
             let (angle, range_m) = ((camera - landmark).angle(&view), (camera - landmark).norm());
             prop_assume!((angle - half_rad - slack_rad).abs() > 1e-6);
@@ -150,7 +150,7 @@ mod tests {
                 camera: lens.map_err(|error| TestCaseError::fail(error.to_string()))?,
                 vehicle_from_camera: Pose { translation: arm, ..Pose::identity() },
             };
-            let seen = |far_m| Seen { view: Vector3::z(), view_cos: -1.0, ranges_m: [0.0, far_m] };
+            let seen = |far_m| ViewCone { view: Vector3::z(), view_cos: -1.0, ranges_m: [0.0, far_m] };
             let all = landmarks.iter().zip(1..);
             let all = all.map(|(at, far)| Visibility::new((*at).into(), &seen(f64::from(far)), 0.0, 1.0));
             let all: Vec<Visibility> = all.collect();
@@ -164,7 +164,7 @@ mod tests {
 
     #[test]
     fn nowhere_is_around_nothing() {
-        let seen = Seen {
+        let seen = ViewCone {
             view: Vector3::z(),
             view_cos: -1.0,
             ranges_m: [0.0, 1e9],

@@ -13,7 +13,7 @@ use evermap_vision::{Grey, ImageError, Rgb, decode_colour, decode_grey, holds_co
 use rayon::prelude::*;
 
 use crate::inputs::bodies::bodies;
-use crate::inputs::calibrated::{Calibrated, Mounted};
+use crate::inputs::calibrated::{Calibrated, MountedCamera};
 use crate::inputs::floors::floors;
 use crate::inputs::pixels::{left_out, undecoded};
 use crate::inputs::rig::{self, OfVehicle, frame};
@@ -135,7 +135,7 @@ impl Projector {
                 .get(&(image.session.clone(), frame(&image.camera).to_owned()));
             let body = body.filter(|body| [body.width, body.height] == size);
             let mask = body.map(|body| body.data.as_slice());
-            let Mounted {
+            let MountedCamera {
                 camera,
                 vehicle_from_camera,
             } = mounted;

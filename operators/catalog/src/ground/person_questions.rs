@@ -2,7 +2,9 @@
 
 use std::collections::BTreeMap;
 
-use evermap_algorithms::ground::people::teaching::{Belief, Open, belief, questions, untaught};
+use evermap_algorithms::ground::people::teaching::{
+    Belief, LeastCertain, belief, questions, untaught,
+};
 use evermap_algorithms::learning::gaussian_process::LinearProcess;
 use evermap_contract::{
     Emit, Fault, Key, NothingToChoose, Operator, Pixels, Port, Sides, Stream, Work,
@@ -39,7 +41,7 @@ struct Asking {
     known: Option<LinearProcess>,
     /// Where in the vehicle frame (m) those are who were answered, by image.
     answered: BTreeMap<ImageKey, Vec<[f64; 2]>>,
-    open: Open<(PersonHypothesis, Belief)>,
+    open: LeastCertain<(PersonHypothesis, Belief)>,
 }
 
 impl Stream for Asking {
@@ -55,7 +57,7 @@ impl Stream for Asking {
         Ok(Self {
             known: learnt(sides)?,
             answered,
-            open: Open::default(),
+            open: LeastCertain::default(),
         })
     }
 

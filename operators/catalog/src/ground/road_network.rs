@@ -40,7 +40,7 @@ fn lanes(
     let site = poses[0].site.clone();
     let keyframes = sides.rows::<Keyframe>("keyframes")?;
     let drives = drives(poses, &keyframes, emit);
-    let driven: Vec<Trace<'_>> = drives.iter().map(Session::drive).collect();
+    let driven: Vec<Trace<'_>> = drives.iter().map(StampedTrace::trace).collect();
     let network = road_network(&driven, params).map_err(|error| Fault::data(error.to_string()))?;
     let lanes = network.lanes.into_iter().zip(0_u32..);
     emit.rows(
@@ -69,7 +69,7 @@ fn lanes(
 
 /// A session's positions in the order driven, each with its stamp.
 #[derive(Default)]
-struct Session {
+struct StampedTrace {
     name: String,
     positions: Vec<[f64; 3]>,
     stamps: Vec<Stamp>,
@@ -79,7 +79,7 @@ struct Session {
     stretch: Option<u32>,
 }
 
-impl Session {
+impl StampedTrace {
     fn add(&mut self, position: [f64; 3], stamp: Stamp, stretch: Option<u32>) {
         let before = self.stretch;
         self.stretch = stretch.or(before);
@@ -90,7 +90,7 @@ impl Session {
         self.stamps.push(stamp);
     }
 
-    fn drive(&self) -> Trace<'_> {
+    fn trace(&self) -> Trace<'_> {
         Trace {
             key: &self.name,
             positions: &self.positions,
@@ -100,12 +100,16 @@ impl Session {
 }
 
 /// The sessions, ordered by name as the poses are; broken where the stretch of the keyframes that poses are of changes.
-fn drives(poses: Vec<VehiclePose>, keyframes: &[Keyframe], emit: &mut Emit<'_>) -> Vec<Session> {
+fn drives(
+    poses: Vec<VehiclePose>,
+    keyframes: &[Keyframe],
+    emit: &mut Emit<'_>,
+) -> Vec<StampedTrace> {
     let stretches: BTreeMap<(&str, Stamp), u32> = keyframes
         .iter()
         .map(|row| ((row.session.as_str(), row.stamp), row.stretch))
         .collect();
-    let mut drives: Vec<Session> = Vec::new();
+    let mut drives: Vec<StampedTrace> = Vec::new();
     for VehiclePose {
         session,
         stamp,
@@ -120,9 +124,9 @@ fn drives(poses: Vec<VehiclePose>, keyframes: &[Keyframe], emit: &mut Emit<'_>) 
         }
         let stretch = stretches.get(&(session.as_str(), stamp)).copied();
         if drives.last().is_none_or(|last| last.name != session) {
-            drives.push(Session {
+            drives.push(StampedTrace {
                 name: session,
-                ..Session::default()
+                ..StampedTrace::default()
             });
         }
         if let Some(drive) = drives.last_mut() {
@@ -133,7 +137,7 @@ fn drives(poses: Vec<VehiclePose>, keyframes: &[Keyframe], emit: &mut Emit<'_>) 
 }
 
 /// Passages by stamp instead of by pose.
-fn sources(passages: &[Passage], drives: &[Session]) -> Vec<Source> {
+fn sources(passages: &[Passage], drives: &[StampedTrace]) -> Vec<Source> {
     let mut sources = Sources::default();
     for passage in passages {
         let at = drives.binary_search_by(|drive| drive.name.cmp(&passage.drive));

@@ -7,7 +7,7 @@ use evermap_algorithms::ground::boxes::box_index::BoxIndex;
 use evermap_algorithms::ground::boxes::mosaic::{LONGEST_CELLS, Mosaic};
 use evermap_algorithms::ground::boxes::picture::Picture;
 use evermap_algorithms::ground::boxes::rows::LaneLine;
-use evermap_algorithms::ground::boxes::teaching::{Example, Said, Taught};
+use evermap_algorithms::ground::boxes::teaching::{Example, Judgement, Taught};
 use evermap_contract::{Fault, Reason};
 use evermap_schemas::layers::{Lane, OverheadGradients, OverheadTile, PlacedLabel};
 use evermap_schemas::{Bytes, Pose};
@@ -203,13 +203,13 @@ fn example(label: &PlacedLabel, cell_m: f64) -> Result<Option<Example>, Reason> 
     let place = place.ok_or_else(|| {
         format!("box is no longer than a few cells, or longer than 50 m or {LONGEST_CELLS} cells")
     })?;
-    let said = match label.standing.as_str() {
-        "drawn" => Said::Drawn,
-        "accepted" => Said::Accepted,
-        "rejected" => Said::Rejected,
+    let judgement = match label.standing.as_str() {
+        "drawn" => Judgement::Drawn,
+        "accepted" => Judgement::Accepted,
+        "rejected" => Judgement::Rejected,
         _ => return Err("label was neither drawn nor accepted nor rejected".into()),
     };
-    Ok(Some(Example { place, said }))
+    Ok(Some(Example { place, judgement }))
 }
 
 fn of_kind(said: &[(Example, &PlacedLabel)], skip: &mut impl FnMut(Reason, u64)) -> Boxes {

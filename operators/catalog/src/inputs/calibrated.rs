@@ -14,7 +14,7 @@ use crate::inputs::rig::{self, Rig, VehicleFrame, frame};
 type Name = (String, String, Stamp, [u32; 2]);
 
 /// One of these for each camera, calibration and size of images, or why there is none.
-type Made<T> = BTreeMap<Name, Result<Arc<T>, Reason>>;
+type ByCamera<T> = BTreeMap<Name, Result<Arc<T>, Reason>>;
 
 /// One `T` for each camera, calibration and size of images, made when first asked for.
 pub(crate) struct Calibrated<T> {
@@ -22,11 +22,11 @@ pub(crate) struct Calibrated<T> {
     rigs: BTreeMap<String, Rig>,
     vehicle: VehicleFrame,
     most: usize,
-    made: Mutex<Made<T>>,
+    made: Mutex<ByCamera<T>>,
 }
 
 /// A camera as it stands on its vehicle.
-pub(crate) struct Mounted {
+pub(crate) struct MountedCamera {
     pub(crate) camera: Camera,
     pub(crate) vehicle_from_camera: Pose,
 }
@@ -48,7 +48,7 @@ impl<T> Calibrated<T> {
         &self,
         (session, camera, stamp): (&str, &str, Stamp),
         size: [u32; 2],
-        make: impl FnOnce(Mounted) -> Result<T, Reason>,
+        make: impl FnOnce(MountedCamera) -> Result<T, Reason>,
     ) -> Result<Arc<T>, Reason> {
         let camera = frame(camera);
         let rig = self.rigs.get(session);
@@ -65,7 +65,7 @@ impl<T> Calibrated<T> {
         }
         // Not under the lock: a thread that waits for parts of what it makes may be given other rows to work on.
         let mounted = || {
-            Ok(Mounted {
+            Ok(MountedCamera {
                 vehicle_from_camera: rig.vehicle_from_camera(self.vehicle.name(), calibration)?,
                 camera: rig::camera(calibration, size)?,
             })
@@ -78,7 +78,7 @@ impl<T> Calibrated<T> {
         made.entry(name).or_insert(one).clone()
     }
 
-    fn made(&self) -> MutexGuard<'_, Made<T>> {
+    fn made(&self) -> MutexGuard<'_, ByCamera<T>> {
         self.made.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }

@@ -21,7 +21,7 @@ pub(crate) trait ModelRow: Record {
 }
 
 /// A site's models, as a port has them.
-pub(crate) struct Learnt<R: ModelRow> {
+pub(crate) struct LearntModels<R: ModelRow> {
     pub models: Vec<R::Model>,
     pub classes: Vec<String>,
     /// What they read, as JSON.
@@ -59,7 +59,7 @@ impl HeldOut {
     }
 }
 
-impl<R: ModelRow> Learnt<R> {
+impl<R: ModelRow> LearntModels<R> {
     /// `None` where the site has none. A data fault for models that do not belong together.
     pub(crate) fn new(sides: &Sides) -> Result<Option<Self>, Fault> {
         let rows = sides.rows::<R>(R::PORT)?;

@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use evermap_algorithms::ground::cells::{Cell, along, in_polygon};
 use evermap_algorithms::ground::danger::DangerField;
 use evermap_algorithms::ground::danger::exposure::look_ns;
-use evermap_algorithms::ground::danger::field::Seen;
+use evermap_algorithms::ground::danger::field::LookCounts;
 use evermap_algorithms::ground::danger::foretelling::{Ground, Visit};
 use evermap_algorithms::ground::danger::presence::{FoundPerson, presence};
 use evermap_algorithms::solving::least_squares::SystemError;
@@ -114,7 +114,7 @@ fn by_visit(exposure: Vec<Exposure>) -> Vec<(String, Looks)> {
 fn visit(cells: &[Cell], looks: &Looks, people: &BTreeMap<Cell, f64>) -> Visit {
     let seen = |(cell, looks): (&Cell, &u32)| {
         let people = people.get(cell).copied().unwrap_or(0.0);
-        let seen = Seen {
+        let seen = LookCounts {
             looks: f64::from(*looks).max(people),
             people,
         };

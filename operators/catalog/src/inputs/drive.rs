@@ -10,7 +10,7 @@ use evermap_algorithms::geometry::rig::{Rig, RigCamera};
 use evermap_algorithms::metric_map::features::{
     DESCRIPTOR_BYTES, Descriptor, Feature, ImageFeatures, KeyframeFeatures,
 };
-use evermap_algorithms::metric_map::places::{self, DriveTrack, Seen};
+use evermap_algorithms::metric_map::places::{self, DriveTrack, FeatureSource};
 use evermap_contract::{Emit, Fault, FetchedRows, Reason, Sides};
 use evermap_schemas::layers::{Features, Keyframe, Track};
 use evermap_schemas::roles::{Calibration, Transform};
@@ -35,7 +35,7 @@ record! {
 }
 
 /// One keyframe of a drive.
-pub(crate) struct DriveKeyframe<F = KeyframeFeatures> {
+pub(crate) struct FeaturedKeyframe<F = KeyframeFeatures> {
     /// Its instant.
     pub(crate) stamp: Stamp,
     /// Its number within the session.
@@ -50,11 +50,11 @@ pub(crate) struct DriveKeyframe<F = KeyframeFeatures> {
 
 /// One session.
 #[derive(Default)]
-pub(crate) struct Drive<F = KeyframeFeatures> {
+pub(crate) struct FeaturedDrive<F = KeyframeFeatures> {
     /// Its cameras: those with features and a calibration.
     pub(crate) rig: Rig,
     /// Its keyframes, by stamp.
-    pub(crate) keyframes: Vec<DriveKeyframe<F>>,
+    pub(crate) keyframes: Vec<FeaturedKeyframe<F>>,
 }
 
 /// The numbers by which a keyframe's images are found, in the rig's order: rows of a row store, as a rule. None where a
@@ -72,9 +72,9 @@ pub(crate) fn drives(
     sides: &Sides,
     vehicle: &VehicleFrame,
     emit: &mut Emit<'_>,
-) -> Result<BTreeMap<String, Drive>, Fault> {
+) -> Result<BTreeMap<String, FeaturedDrive>, Fault> {
     let mounted = rig::sessions(sides)?;
-    let mut drives: BTreeMap<String, Drive> = routes(keyframes);
+    let mut drives: BTreeMap<String, FeaturedDrive> = routes(keyframes);
     let mut features = by_session(features, |row| &row.session);
     for (session, drive) in &mut drives {
         let rows = features.remove(session).unwrap_or_default();
@@ -96,9 +96,9 @@ pub(crate) fn stored_drives(
     sides: &Sides,
     vehicle: &VehicleFrame,
     emit: &mut Emit<'_>,
-) -> Result<BTreeMap<String, Drive<StoredRows>>, Fault> {
+) -> Result<BTreeMap<String, FeaturedDrive<StoredRows>>, Fault> {
     let mounted = rig::sessions(sides)?;
-    let mut drives: BTreeMap<String, Drive<StoredRows>> = routes(keyframes);
+    let mut drives: BTreeMap<String, FeaturedDrive<StoredRows>> = routes(keyframes);
     let mut images = by_session(images, |(_, image)| &image.session);
     for (session, drive) in &mut drives {
         let images = images.remove(session).unwrap_or_default();
@@ -111,14 +111,14 @@ pub(crate) fn stored_drives(
 }
 
 /// The drives by session, without cameras and what they saw.
-fn routes<F: Default>(keyframes: Vec<Keyframe>) -> BTreeMap<String, Drive<F>> {
-    let mut drives: BTreeMap<String, Drive<F>> = BTreeMap::new();
+fn routes<F: Default>(keyframes: Vec<Keyframe>) -> BTreeMap<String, FeaturedDrive<F>> {
+    let mut drives: BTreeMap<String, FeaturedDrive<F>> = BTreeMap::new();
     for row in keyframes {
         let Ok(odom_from_vehicle) = Pose::from_array(row.odom_from_vehicle.to_array()) else {
             continue;
         };
         let drive = drives.entry(row.session).or_default();
-        drive.keyframes.push(DriveKeyframe {
+        drive.keyframes.push(FeaturedKeyframe {
             stamp: row.stamp,
             number: row.keyframe,
             stretch: row.stretch,
@@ -255,7 +255,7 @@ fn moves((used, mounted): &(Camera, Pose), (other, other_mounted): &(Camera, Pos
     })
 }
 
-impl<F> Drive<F> {
+impl<F> FeaturedDrive<F> {
     /// The index of a keyframe by its number.
     pub(crate) fn index(&self, number: u32) -> Option<usize> {
         self.keyframes
@@ -272,7 +272,7 @@ impl<F> Drive<F> {
     }
 }
 
-impl Drive {
+impl FeaturedDrive {
     fn fill(&mut self, rows: Vec<Features>) {
         let cameras = self.rig.cameras.len();
         for keyframe in &mut self.keyframes {
@@ -286,7 +286,7 @@ impl Drive {
     }
 }
 
-impl Drive<StoredRows> {
+impl FeaturedDrive<StoredRows> {
     /// Notes where images are in the store.
     fn find(&mut self, images: &[(usize, FeaturedImage)]) {
         let cameras = self.rig.cameras.len();
@@ -304,12 +304,12 @@ impl Drive<StoredRows> {
 /// What the cameras of a drive saw, fetched when it is looked at.
 pub(crate) struct FetchedFeatures<'a> {
     /// The drive.
-    pub(crate) drive: &'a Drive<StoredRows>,
+    pub(crate) drive: &'a FeaturedDrive<StoredRows>,
     /// The row store that its keyframes name rows of.
     pub(crate) features: &'a FetchedRows<Features>,
 }
 
-impl Seen<Fault> for FetchedFeatures<'_> {
+impl FeatureSource<Fault> for FetchedFeatures<'_> {
     fn features(&self, keyframe: usize) -> Result<Cow<'_, KeyframeFeatures>, Fault> {
         let keyframe = self.drive.keyframes.get(keyframe);
         let rows = keyframe.into_iter().flat_map(|found| &found.features);
@@ -342,7 +342,7 @@ impl FetchedFeatures<'_> {
 /// Tracks by session, with keyframes by index. A track of a camera that cannot be used is left out.
 pub(crate) fn tracks(
     rows: Vec<Track>,
-    drives: &BTreeMap<String, Drive<StoredRows>>,
+    drives: &BTreeMap<String, FeaturedDrive<StoredRows>>,
     emit: &mut Emit<'_>,
 ) -> BTreeMap<String, Vec<DriveTrack>> {
     let mut tracks: BTreeMap<String, Vec<DriveTrack>> = BTreeMap::new();

@@ -26,7 +26,7 @@ const ALL: &str = "*";
 
 /// The mask of a camera.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(from = "Written", into = "Written")]
+#[serde(from = "MaskForm", into = "MaskForm")]
 pub enum Mask {
     /// Rings of `[u, v]` in the full image (px).
     Polygons(Vec<Vec<[f64; 2]>>),
@@ -55,7 +55,7 @@ pub struct Painted {
     expecting = "expected polygons of [u, v], or the path of an image"
 )]
 #[schemars(rename = "Mask")]
-enum Written {
+enum MaskForm {
     /// Polygons of `[u, v]` in the full image (px).
     Polygons(Vec<Vec<[f64; 2]>>),
     /// The path of a PNG or PGM of the images' size, with one value per pixel: not 0 where it shows the vehicle.
@@ -68,24 +68,24 @@ enum Written {
 
 impl JsonSchema for Mask {
     fn schema_name() -> std::borrow::Cow<'static, str> {
-        Written::schema_name()
+        MaskForm::schema_name()
     }
 
     fn json_schema(generator: &mut schemars::SchemaGenerator) -> schemars::Schema {
-        Written::json_schema(generator)
+        MaskForm::json_schema(generator)
     }
 }
 
-impl From<Written> for Mask {
-    fn from(written: Written) -> Self {
+impl From<MaskForm> for Mask {
+    fn from(written: MaskForm) -> Self {
         match written {
-            Written::Polygons(polygons) => Self::Polygons(polygons),
-            Written::Path(path) => Self::Unread(format!("{path}: it was not read")),
-            Written::File(given) => match decode_labels(&given.hex) {
+            MaskForm::Polygons(polygons) => Self::Polygons(polygons),
+            MaskForm::Path(path) => Self::Unread(format!("{path}: it was not read")),
+            MaskForm::File(given) => match decode_labels(&given.hex) {
                 Ok(image) => Self::Painted(Painted::of(&image)),
                 Err(error) => Self::Unread(format!("{}: {}", given.file, why(error))),
             },
-            Written::Painted(painted) => match painted.is_whole() {
+            MaskForm::Painted(painted) => match painted.is_whole() {
                 true => Self::Painted(painted),
                 false => Self::Unread("runs of an image of another size".to_owned()),
             },
@@ -93,7 +93,7 @@ impl From<Written> for Mask {
     }
 }
 
-impl From<Mask> for Written {
+impl From<Mask> for MaskForm {
     fn from(mask: Mask) -> Self {
         match mask {
             Mask::Polygons(polygons) => Self::Polygons(polygons),
@@ -174,9 +174,9 @@ impl Masks {
 }
 
 /// Masks, by the plain names of cameras, as what they cover.
-pub(crate) struct Drawn(BTreeMap<String, Blind>);
+pub(crate) struct CameraMasks(BTreeMap<String, Blind>);
 
-impl Drawn {
+impl CameraMasks {
     pub(crate) fn new(masks: &Masks) -> Self {
         let blind = |mask: &Mask| match mask {
             Mask::Polygons(polygons) => Blind {
@@ -244,7 +244,7 @@ mod tests {
         for written in [file(&png), file(&pgm), runs.clone()] {
             let mask = mask(written);
             assert_eq!(serde_json::to_value(&mask).unwrap(), runs);
-            let drawn = Drawn::new(&masks([("/front", mask)]));
+            let drawn = CameraMasks::new(&masks([("/front", mask)]));
             let shown = drawn.of("front").unwrap().mask.as_ref().unwrap();
             assert_eq!(shown.data, [255, 0, 0, 0, 255, 255]);
             assert!(drawn.of("rear").is_none());
@@ -256,7 +256,7 @@ mod tests {
         let ring = json!([[[0.0, 0.0], [3.0, 0.0], [3.0, 1.0]]]);
         let (front, all) = (mask(ring.clone()), mask(json!([])));
         assert_eq!(serde_json::to_value(&front).unwrap(), ring);
-        let drawn = Drawn::new(&masks([("front", front), ("*", all)]));
+        let drawn = CameraMasks::new(&masks([("front", front), ("*", all)]));
         let rings = |camera| drawn.of(camera).unwrap().polygons.len();
         assert_eq!([rings("/front"), rings("rear")], [1, 0]);
     }

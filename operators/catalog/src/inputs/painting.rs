@@ -3,7 +3,7 @@
 
 use std::collections::BTreeMap;
 
-use evermap_algorithms::labels::folding::{Act, Said, folded};
+use evermap_algorithms::labels::folding::{Act, Annotation, folded};
 use evermap_algorithms::labels::painting::{Paint, PaintError};
 use evermap_schemas::Stamp;
 use evermap_schemas::roles::ImageAnnotation;
@@ -30,7 +30,7 @@ pub fn by_image(acts: Vec<ImageAnnotation>) -> BTreeMap<ImageKey, Vec<ImageAnnot
 
 /// What lies on an image, of all acts about it: later paint over earlier.
 pub fn lying<'a>(acts: &'a [ImageAnnotation], tell: Tell<'_>) -> Vec<&'a ImageAnnotation> {
-    let said: Vec<Said<'_>> = acts.iter().filter_map(said).collect();
+    let said: Vec<Annotation<'_>> = acts.iter().filter_map(said).collect();
     let folded = folded(&said);
     tell(
         "paint that contradicts another person's; the later holds".into(),
@@ -53,8 +53,8 @@ pub fn lying<'a>(acts: &'a [ImageAnnotation], tell: Tell<'_>) -> Vec<&'a ImageAn
     found
 }
 
-fn said(row: &ImageAnnotation) -> Option<Said<'_>> {
-    Some(Said {
+fn said(row: &ImageAnnotation) -> Option<Annotation<'_>> {
+    Some(Annotation {
         label: &row.id,
         stamp: row.stamp.0,
         author: &row.author,

@@ -11,7 +11,7 @@ use evermap_schemas::Stamp;
 use evermap_schemas::layers::PersonModel;
 use evermap_vision::{Grey, PeopleDetector, decode_grey};
 
-use crate::inputs::calibrated::{Calibrated, Mounted};
+use crate::inputs::calibrated::{Calibrated, MountedCamera};
 use crate::inputs::pixels::{left_out, undecoded};
 use crate::inputs::rig::OfVehicle;
 
@@ -132,7 +132,7 @@ impl Looking {
 
     fn upright(&self, named: (&str, &str, Stamp), size: [u32; 2]) -> Result<Arc<Upright>, Reason> {
         self.cameras.get(named, size, |mounted| {
-            let Mounted {
+            let MountedCamera {
                 camera,
                 vehicle_from_camera,
             } = mounted;

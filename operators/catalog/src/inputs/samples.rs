@@ -9,7 +9,7 @@ use evermap_schemas::layers::{PixelSamples, Source, Sources};
 
 /// All samples, side by side.
 #[derive(Default)]
-pub(crate) struct Gathered {
+pub(crate) struct SiteSamples {
     dimensions: usize,
     pub(crate) classes: Vec<String>,
     /// What the features are, as JSON.
@@ -22,7 +22,7 @@ pub(crate) struct Gathered {
     parts: BTreeMap<u32, Sources>,
 }
 
-impl Gathered {
+impl SiteSamples {
     /// Of images that fit the first one, cut into blocks; others are counted.
     pub(crate) fn of(samples: Vec<PixelSamples>, blocks: u32, emit: &mut Emit<'_>) -> Self {
         let block = blocks_of(&samples, blocks);

@@ -4,7 +4,7 @@ use std::borrow::Cow;
 use std::collections::{BTreeMap, BTreeSet};
 
 use evermap_algorithms::geometry::pose::Pose;
-use evermap_algorithms::metric_map::association::{Described, FeatureRef, Scene};
+use evermap_algorithms::metric_map::association::{DescriptorSource, FeatureRef, Scene};
 use evermap_algorithms::metric_map::features::{
     DESCRIPTOR_BYTES, Descriptor, ImageFeatures, KeyframeFeatures,
 };
@@ -14,7 +14,9 @@ use evermap_schemas::layers::{
 };
 use evermap_schemas::{Bytes, Stamp, record};
 
-use super::drive::{Drive, FeaturedImage, StoredRows, descriptors, image_features, stored_drives};
+use super::drive::{
+    FeaturedDrive, FeaturedImage, StoredRows, descriptors, image_features, stored_drives,
+};
 use super::rig::VehicleFrame;
 
 record! {
@@ -149,7 +151,7 @@ impl Survey {
     fn add(
         &mut self,
         session: String,
-        drive: Drive<StoredRows>,
+        drive: FeaturedDrive<StoredRows>,
         poses: &BTreeMap<Stamp, Pose>,
         images: &Images<'_>,
     ) -> Result<(), Fault> {
@@ -252,7 +254,7 @@ impl Survey {
     }
 }
 
-impl Described<Fault> for Survey {
+impl DescriptorSource<Fault> for Survey {
     fn descriptors(&self, image: u32) -> Result<Cow<'_, [Descriptor]>, Fault> {
         match self.looks.get(image as usize) {
             Some(Looks::Stored(row)) => {

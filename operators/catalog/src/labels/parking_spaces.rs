@@ -1,7 +1,9 @@
 #![doc = include_str!("parking_spaces.md")]
 
 use evermap_algorithms::ground::boxes::GroundBox;
-use evermap_algorithms::ground::boxes::rows::{ENTERED_WITHIN_M, LaneLine, Numbered, numbered};
+use evermap_algorithms::ground::boxes::rows::{
+    ENTERED_WITHIN_M, LaneLine, NumberedSpace, numbered,
+};
 use evermap_contract::{Emit, Fault, Key, Operator, Port, Sides, Work};
 use evermap_schemas::Wkb;
 use evermap_schemas::layers::{BoxHypothesis, Lane, ParkingSpace, PlacedLabel};
@@ -56,7 +58,7 @@ impl Operator for ParkingSpaces {
 }
 
 /// A box that is a space, and why.
-struct Held {
+struct SpaceBox {
     place: GroundBox,
     height_m: f64,
     standing: String,
@@ -78,7 +80,7 @@ fn spaces(
     let lanes: Vec<LaneLine> = lanes.iter().map(lane_line).collect();
     let places: Vec<GroundBox> = held.iter().map(|one| one.place).collect();
     let numbered = numbered(&places, &lanes, params.lane_within_m);
-    let space = |space: Numbered| {
+    let space = |space: NumberedSpace| {
         let held = &held[space.index];
         ParkingSpace {
             site: site.clone(),
@@ -100,7 +102,11 @@ fn spaces(
 }
 
 /// Spaces that people drew or accepted; of several on one place the one said last.
-fn said(labels: &[PlacedLabel], params: &ParkingSpacesParams, emit: &mut Emit<'_>) -> Vec<Held> {
+fn said(
+    labels: &[PlacedLabel],
+    params: &ParkingSpacesParams,
+    emit: &mut Emit<'_>,
+) -> Vec<SpaceBox> {
     let ours = |label: &&PlacedLabel| label.kind == params.kind && label.standing != "rejected";
     let mut ones = Vec::new();
     for label in labels.iter().filter(ours) {
@@ -118,7 +124,7 @@ fn said(labels: &[PlacedLabel], params: &ParkingSpacesParams, emit: &mut Emit<'_
         emit.skip("parking space that lies on another one", count);
     }
     ones.retain(|(_, label)| !before.contains(label.label.as_str()));
-    let held = |(place, label): (GroundBox, &PlacedLabel)| Held {
+    let held = |(place, label): (GroundBox, &PlacedLabel)| SpaceBox {
         place,
         height_m: label.map_from_label.z,
         standing: label.standing.clone(),
@@ -133,7 +139,7 @@ fn found(
     hypotheses: Vec<BoxHypothesis>,
     params: &ParkingSpacesParams,
     emit: &mut Emit<'_>,
-) -> Vec<Held> {
+) -> Vec<SpaceBox> {
     let ours =
         |one: &BoxHypothesis| one.kind == params.kind && one.probability >= params.probability;
     let mut held = Vec::new();
@@ -142,7 +148,7 @@ fn found(
             emit.skip("hypothesis is not a box", 1);
             continue;
         };
-        held.push(Held {
+        held.push(SpaceBox {
             place,
             height_m: one.map_from_label.z,
             standing: "found".to_owned(),

@@ -46,14 +46,14 @@ impl Operator for TaughtLabels {
     fn work() -> Work<Self::Params> {
         let frames = Port::session::<PaintedFrame>("frames").pixels("image");
         let annotations = Port::site::<ImageAnnotation>("annotations");
-        Work::batches(frames, vec![annotations], Said::new, Said::images)
+        Work::batches(frames, vec![annotations], SitePaint::new, SitePaint::images)
     }
 }
 
 /// What was said of a site's images.
-struct Said(BTreeMap<ImageKey, Vec<ImageAnnotation>>);
+struct SitePaint(BTreeMap<ImageKey, Vec<ImageAnnotation>>);
 
-impl Said {
+impl SitePaint {
     fn new(_: &NothingToChoose, sides: &Sides) -> Result<Self, Fault> {
         Ok(Self(by_image(sides.rows("annotations")?)))
     }

@@ -12,7 +12,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::inputs::backbone::BACKBONE;
-use crate::inputs::classifier::{HeldOut, Learnt, ModelRow};
+use crate::inputs::classifier::{HeldOut, LearntModels, ModelRow};
 use crate::inputs::pixels::{colours, undecoded};
 
 /// See the module's page.
@@ -64,8 +64,8 @@ struct Scorer {
 impl Scorer {
     fn new(params: &ClassScoringParams, sides: &Sides) -> Result<Self, Fault> {
         let power = params.prior_power;
-        let forest = Learnt::<DecisionTree>::new(sides)?;
-        let network = Learnt::<PixelPerceptron>::new(sides)?;
+        let forest = LearntModels::<DecisionTree>::new(sides)?;
+        let network = LearntModels::<PixelPerceptron>::new(sides)?;
         let model = match (forest, network) {
             (None, None) => None,
             (Some(forest), None) => Some(Model::new(forest, power, |what, trees, classes| {
@@ -124,7 +124,7 @@ struct Model {
 
 impl Model {
     fn new<R: ModelRow>(
-        learnt: Learnt<R>,
+        learnt: LearntModels<R>,
         prior_power: f64,
         classifier: impl FnOnce(
             FeatureDescription,
@@ -133,11 +133,11 @@ impl Model {
         ) -> Result<PixelClassifier, ClassifierError>,
     ) -> Result<Self, Fault> {
         let what: FeatureDescription = serde_json::from_str(&learnt.features)
-            .map_err(|error| Learnt::<R>::wrong(format!("column features: {error}")))?;
+            .map_err(|error| LearntModels::<R>::wrong(format!("column features: {error}")))?;
         let classifier = classifier(what, learnt.models, learnt.classes.len());
         Ok(Self {
             factors: prior_factors(&learnt.priors, prior_power),
-            classifier: classifier.map_err(Learnt::<R>::wrong)?,
+            classifier: classifier.map_err(LearntModels::<R>::wrong)?,
             classes: learnt.classes,
             held_out: learnt.held_out,
         })

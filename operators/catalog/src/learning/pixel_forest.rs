@@ -6,7 +6,7 @@ use evermap_schemas::layers::{DecisionTree, PixelSamples, TreeNode};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::inputs::samples::Gathered;
+use crate::inputs::samples::SiteSamples;
 
 /// See the module's page.
 pub struct PixelForest;
@@ -52,7 +52,7 @@ fn forest(
     emit: &mut Emit<'_>,
 ) -> Result<(), Fault> {
     let site = samples[0].site.clone();
-    let all = Gathered::of(samples, params.blocks, emit);
+    let all = SiteSamples::of(samples, params.blocks, emit);
     let priors = all.priors();
     let row = |(tree, learnt): (usize, Tree)| DecisionTree {
         site: site.clone(),

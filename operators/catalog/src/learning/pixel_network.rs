@@ -6,7 +6,7 @@ use evermap_schemas::layers::{PixelPerceptron, PixelSamples};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::inputs::samples::Gathered;
+use crate::inputs::samples::SiteSamples;
 
 /// See the module's page.
 pub struct PixelNetwork;
@@ -53,7 +53,7 @@ fn network(
     emit: &mut Emit<'_>,
 ) -> Result<(), Fault> {
     let site = samples[0].site.clone();
-    let all = Gathered::of(samples, params.blocks, emit);
+    let all = SiteSamples::of(samples, params.blocks, emit);
     let priors = all.priors();
     let row = |(member, learnt): (usize, Perceptron)| PixelPerceptron {
         site: site.clone(),

@@ -76,7 +76,7 @@ impl Operator for TemporalScores {
 }
 
 /// A view as far as it is known.
-struct Held {
+struct BufferedView {
     scores: ClassScores,
     depth: Option<Grey16>,
     /// Where it was taken from, and by what camera.
@@ -88,7 +88,7 @@ struct Window {
     params: TemporalScoresParams,
     rig: Rig,
     odometry: Vec<StampedPose>,
-    views: VecDeque<Held>,
+    views: VecDeque<BufferedView>,
     /// Which of them is to be voted on next.
     next: usize,
 }
@@ -152,13 +152,13 @@ impl Window {
         row: ClassScores,
         bytes: Option<&[u8]>,
         emit: &mut Emit<'_>,
-    ) -> Result<Held, Reason> {
+    ) -> Result<BufferedView, Reason> {
         scores(&row)?;
         let mut known = |reason: Reason| emit.skip(reason, 1);
         let depth = bytes.map(|bytes| depth(&row, bytes).map_err(&mut known));
         let depth = depth.and_then(Result::ok);
         let posed = self.pose(&row).map_err(&mut known).ok();
-        Ok(Held {
+        Ok(BufferedView {
             scores: row,
             depth,
             posed,
@@ -199,7 +199,7 @@ impl Window {
     }
 
     /// A view that can be projected.
-    fn seen<'a>(&self, held: &'a Held) -> Option<ScoredView<'a>> {
+    fn seen<'a>(&self, held: &'a BufferedView) -> Option<ScoredView<'a>> {
         let (odom_from_camera, _) = held.posed.as_ref()?;
         let depth = held.depth.as_ref()?;
         let size = [depth.width, depth.height];

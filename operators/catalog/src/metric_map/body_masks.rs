@@ -10,7 +10,7 @@ use evermap_vision::{Blind, Grey, ImageError, decode_grey, encode_png};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::inputs::masks::{Drawn, Masks};
+use crate::inputs::masks::{CameraMasks, Masks};
 use crate::inputs::pixels::{left_out, undecoded};
 use crate::inputs::rig::frame;
 
@@ -73,7 +73,7 @@ struct OfCamera {
     /// Path of the last image that was compared.
     last_m: Option<f64>,
     grey: Grey,
-    drawn: Drawn,
+    drawn: CameraMasks,
     search: Option<Search>,
 }
 
@@ -103,7 +103,7 @@ impl Stream for OfCamera {
             distances_m,
             last_m: None,
             grey: Grey::default(),
-            drawn: Drawn::new(&params.masks),
+            drawn: CameraMasks::new(&params.masks),
             search: None,
         })
     }

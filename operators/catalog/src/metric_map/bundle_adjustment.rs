@@ -56,11 +56,11 @@ fn adjust(
     let keyframes: Vec<Keyframe> = sides.rows("keyframes")?;
     let first_new = first_new(&previous);
     let mut staying = BTreeSet::from_iter(base(&previous, &frames));
-    let Known {
+    let PreviousKeyframes {
         rows: known,
         holding,
         untouched,
-    } = Known::new(previous, &new_places(&poses, &keyframes), summary);
+    } = PreviousKeyframes::new(previous, &new_places(&poses, &keyframes), summary);
     let new = NewDrives { poses, keyframes };
     // Who has neighbours that stay lies where they do.
     let whole = holding.is_empty() && untouched.is_empty();
@@ -99,7 +99,7 @@ fn named(frames: &[MapFrame]) -> BTreeSet<KeyframeName> {
 }
 
 /// The keyframes of the version before that hold the map up.
-struct Known {
+struct PreviousKeyframes {
     /// Those that new drives have to do with.
     rows: Vec<AdjustedPose>,
     /// Which of them stay where they are.
@@ -108,7 +108,7 @@ struct Known {
     untouched: Vec<AdjustedPose>,
 }
 
-impl Known {
+impl PreviousKeyframes {
     fn new(previous: Vec<AdjustedPose>, new: &[[f64; 3]], params: &SummaryParams) -> Self {
         let places: Vec<[f64; 3]> = previous
             .iter()

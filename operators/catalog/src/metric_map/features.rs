@@ -10,7 +10,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::inputs::bodies::bodies;
-use crate::inputs::masks::{Drawn, Masks};
+use crate::inputs::masks::{CameraMasks, Masks};
 use crate::inputs::pixels::{left_out, undecoded};
 use crate::inputs::rig::frame;
 
@@ -50,14 +50,14 @@ impl Operator for Features {
 struct Finder {
     detectors: Detectors,
     wanted: FeatureParams,
-    drawn: Drawn,
+    drawn: CameraMasks,
     /// Of `body_masks`, by session and camera.
     bodies: BTreeMap<(String, String), Blind>,
 }
 
 impl Finder {
     fn new(params: &FeaturesParams, sides: &Sides) -> Result<Self, Fault> {
-        let drawn = Drawn::new(&params.masks);
+        let drawn = CameraMasks::new(&params.masks);
         let bodies = bodies(sides)?.into_iter().map(|((session, camera), body)| {
             let mut blind = drawn.of(&camera).cloned().unwrap_or_default();
             blind.mask.get_or_insert(body);

@@ -4,7 +4,9 @@ use std::collections::BTreeMap;
 
 use evermap_algorithms::geometry::geodesy::Geodetic;
 use evermap_algorithms::geometry::pose::Pose;
-use evermap_algorithms::metric_map::georeference::{AntennaFix, Placement, Refused, placement};
+use evermap_algorithms::metric_map::georeference::{
+    AntennaFix, Placement, PlacementError, placement,
+};
 use evermap_contract::{Emit, Fault, Key, Operator, Port, Sides, Work};
 use evermap_schemas::Stamp;
 use evermap_schemas::layers::{AntennaPosition, Georeference, Sources, VehiclePose};
@@ -77,12 +79,12 @@ fn place(
     match placement(&fixes) {
         Ok(found) => emit.rows(vec![found_row(site, &found, fixes.len(), sources)]),
         // Nobody promised fixes.
-        Err(Refused::TooFew) if rows.is_empty() => Ok(()),
-        Err(Refused::TooFew) => {
+        Err(PlacementError::TooFew) if rows.is_empty() => Ok(()),
+        Err(PlacementError::TooFew) => {
             emit.skip("site with too few GNSS fixes to say where it lies", 1);
             Ok(())
         }
-        Err(Refused::NoHeading) => {
+        Err(PlacementError::NoHeading) => {
             emit.skip("site whose GNSS fixes do not say how it is turned", 1);
             Ok(())
         }

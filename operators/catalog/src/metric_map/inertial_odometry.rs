@@ -1,7 +1,7 @@
 #![doc = include_str!("inertial_odometry.md")]
 
 use evermap_algorithms::geometry::pose::Pose;
-use evermap_algorithms::metric_map::inertial::{self, ImuSample, Refused};
+use evermap_algorithms::metric_map::inertial::{self, ImuSample, InertialError};
 use evermap_contract::{Emit, Fault, Key, Operator, Port, Reach, Reason, Sides, Work};
 use evermap_schemas::roles::{ImuMeasurement, OdometryPose};
 use nalgebra::Vector3;
@@ -55,7 +55,7 @@ fn upright(
     rows: &mut [OdometryPose],
     imu: &[ImuMeasurement],
     vehicle_from_imu: &Pose,
-) -> Result<(), Refused> {
+) -> Result<(), InertialError> {
     let mut odometry = Vec::with_capacity(rows.len());
     let mut written = Vec::with_capacity(rows.len());
     for row in rows {
@@ -89,12 +89,14 @@ fn sample(row: &ImuMeasurement) -> ImuSample {
     }
 }
 
-fn reason(refused: Refused) -> Reason {
+fn reason(refused: InertialError) -> Reason {
     match refused {
-        Refused::Silent => "IMU that was silent for most of the drive".into(),
-        Refused::NoGravity => "IMU whose acceleration is not gravity's (9.81 m/s² at rest)".into(),
-        Refused::NotUpright => "IMU by whose mount the vehicle does not stand upright".into(),
-        Refused::TurnsOtherwise => {
+        InertialError::Silent => "IMU that was silent for most of the drive".into(),
+        InertialError::NoGravity => {
+            "IMU whose acceleration is not gravity's (9.81 m/s² at rest)".into()
+        }
+        InertialError::NotUpright => "IMU by whose mount the vehicle does not stand upright".into(),
+        InertialError::TurnsOtherwise => {
             "IMU by whose mount the vehicle turns otherwise than its odometry".into()
         }
     }

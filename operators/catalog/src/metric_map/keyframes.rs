@@ -22,7 +22,7 @@ impl Operator for Keyframes {
     fn work() -> Work<Self::Params> {
         let odometry = Port::session::<OdometryPose>("odometry");
         let sides = vec![Port::session::<Frame>("frames").optional()];
-        Work::stream::<Session>(odometry, Key::SESSION, sides)
+        Work::stream::<SessionKeyframer>(odometry, Key::SESSION, sides)
     }
 
     fn check(params: &KeyframeParams) -> Result<(), Fault> {
@@ -36,14 +36,14 @@ impl Operator for Keyframes {
 const ENOUGH: usize = 8192;
 
 /// One session at work.
-struct Session {
+struct SessionKeyframer {
     keyframer: Keyframer<ImageRef>,
     /// Site and session.
     name: (String, String),
     not_rigid: u64,
 }
 
-impl Stream for Session {
+impl Stream for SessionKeyframer {
     type Params = KeyframeParams;
     type Row = OdometryPose;
 
@@ -102,7 +102,7 @@ impl Stream for Session {
     }
 }
 
-impl Session {
+impl SessionKeyframer {
     fn emit(
         &self,
         keyframes: Vec<drive::Keyframe<ImageRef>>,

@@ -12,7 +12,7 @@ use evermap_contract::{Emit, Fault, Key, Operator, Port, Reach, Sides, Work};
 use evermap_schemas::Pose;
 use evermap_schemas::layers::{Features, Keyframe, Landmark, Localisation as Row, Observation};
 
-use crate::inputs::drive::{Drive, descriptors, drives};
+use crate::inputs::drive::{FeaturedDrive, descriptors, drives};
 use crate::inputs::rig::{self, OfVehicle};
 
 /// See the module's page.
@@ -66,7 +66,7 @@ fn localise(
 }
 
 fn localise_drive(
-    drive: &Drive,
+    drive: &FeaturedDrive,
     map: &LandmarkMap,
     params: LocalisationParams,
 ) -> Vec<KeyframeLocalisation> {
@@ -123,7 +123,7 @@ fn landmarks(rows: Vec<Landmark>) -> (Vec<u32>, Vec<MapLandmark>) {
 
 fn rows(
     [site, session]: [&String; 2],
-    drive: &Drive,
+    drive: &FeaturedDrive,
     found: Vec<KeyframeLocalisation>,
     numbers: &[u32],
 ) -> Vec<Row> {

@@ -7,7 +7,7 @@ use evermap_contract::{Emit, Fault, Key, Operator, Port, Reach, Sides, Work};
 use evermap_schemas::layers::{Features, Keyframe, LoopClosure, Track};
 
 use crate::inputs::drive::{
-    Drive, FeaturedImage, FetchedFeatures, StoredRows, stored_drives, tracks,
+    FeaturedDrive, FeaturedImage, FetchedFeatures, StoredRows, stored_drives, tracks,
 };
 use crate::inputs::rig::{self, OfVehicle};
 
@@ -59,7 +59,7 @@ fn loop_closures(
         .map(|(session, seen)| seen.with_tracks(tracks.remove(session).unwrap_or_default()))
         .collect();
     let found = places::loops(&searched, &params.options)?;
-    let drives: Vec<(&String, &Drive<StoredRows>)> = drives.iter().collect();
+    let drives: Vec<(&String, &FeaturedDrive<StoredRows>)> = drives.iter().collect();
     let rows = found.iter().map(|found| row(&site, found, &drives));
     emit.rows(rows.flatten().collect())
 }
@@ -76,7 +76,11 @@ fn known(
     previous
 }
 
-fn row(site: &str, found: &Loop, drives: &[(&String, &Drive<StoredRows>)]) -> Option<LoopClosure> {
+fn row(
+    site: &str,
+    found: &Loop,
+    drives: &[(&String, &FeaturedDrive<StoredRows>)],
+) -> Option<LoopClosure> {
     let keyframe = |(drive, keyframe): (usize, usize)| {
         let (session, drive) = *drives.get(drive)?;
         Some((session.clone(), drive.keyframes.get(keyframe)?))

@@ -48,7 +48,7 @@ struct Stretches {
 
 impl Stretches {
     /// Of rows by session and stamp.
-    fn new(rows: Vec<Keyframe>, known: &Known, emit: &mut Emit<'_>) -> Self {
+    fn new(rows: Vec<Keyframe>, known: &FixedPoses, emit: &mut Emit<'_>) -> Self {
         let posed = rows.into_iter().filter_map(|row| {
             let Ok(odom_from_vehicle) = Pose::from_array(row.odom_from_vehicle.to_array()) else {
                 emit.skip("keyframe's pose is not a rigid transform", 1);
@@ -96,7 +96,7 @@ impl Stretches {
 }
 
 /// Poses that stay, by session and stamp.
-type Known = BTreeMap<(String, Stamp), Pose>;
+type FixedPoses = BTreeMap<(String, Stamp), Pose>;
 
 fn relax(
     params: &DriveParams,
@@ -118,7 +118,7 @@ fn relax(
     emit.rows(rows)
 }
 
-fn known(rows: Vec<VehiclePose>) -> Known {
+fn known(rows: Vec<VehiclePose>) -> FixedPoses {
     rows.into_iter()
         .filter_map(|row| {
             let pose = Pose::from_array(row.map_from_vehicle.to_array()).ok()?;

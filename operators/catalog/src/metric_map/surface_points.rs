@@ -7,7 +7,7 @@ use evermap_algorithms::metric_map::places::{SurfaceOptions, surface_points};
 use evermap_contract::{Emit, Fault, Key, Operator, Port, Reach, Sides, Work};
 use evermap_schemas::layers::{Features, Keyframe, SurfacePoint, Track, VehiclePose};
 
-use crate::inputs::drive::{Drive, FetchedFeatures, StoredRows, stored_drives, tracks};
+use crate::inputs::drive::{FeaturedDrive, FetchedFeatures, StoredRows, stored_drives, tracks};
 use crate::inputs::rig::{self, OfVehicle};
 
 /// See the module's page.
@@ -73,7 +73,7 @@ fn points(
 }
 
 /// Puts a drive's keyframes where they are in the map; those without a pose are left out.
-fn place(drive: &mut Drive<StoredRows>, poses: Vec<VehiclePose>, emit: &mut Emit<'_>) {
+fn place(drive: &mut FeaturedDrive<StoredRows>, poses: Vec<VehiclePose>, emit: &mut Emit<'_>) {
     let mut placed = BTreeMap::new();
     for row in poses {
         match Pose::from_array(row.map_from_vehicle.to_array()) {

@@ -4,7 +4,7 @@ use evermap_algorithms::metric_map::tracking::{CameraFrame, TrackParams, tracks}
 use evermap_contract::{Emit, Fault, Key, Operator, Port, Reach, Sides, Work};
 use evermap_schemas::layers::{Features, Keyframe, Track, TrackPoint};
 
-use crate::inputs::drive::{Drive, drives, is_recalibrated};
+use crate::inputs::drive::{FeaturedDrive, drives, is_recalibrated};
 use crate::inputs::rig::{self, OfVehicle};
 
 /// See the module's page.
@@ -62,7 +62,7 @@ fn follow(
 }
 
 /// Tracks of the drive's only camera; none where it cannot be used.
-fn of_drive(drive: &Drive, params: &TrackParams) -> Vec<Vec<TrackPoint>> {
+fn of_drive(drive: &FeaturedDrive, params: &TrackParams) -> Vec<Vec<TrackPoint>> {
     let Some(mounted) = drive.rig.cameras.first() else {
         return Vec::new();
     };

@@ -14,7 +14,7 @@ use evermap_vision::{Grey, encode_png};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::inputs::classifier::Learnt;
+use crate::inputs::classifier::LearntModels;
 use crate::inputs::graphs::no_graph;
 use crate::inputs::lenses::{self, Lenses};
 use crate::inputs::pixels::values;
@@ -60,16 +60,16 @@ struct Site {
     model: Vec<OcclusionProbability>,
     lenses: Lenses,
     /// What was learnt from what was seen behind things, ready to predict.
-    learnt: Option<(Learnt<DecisionTree>, Forest)>,
+    learnt: Option<(LearntModels<DecisionTree>, Forest)>,
 }
 
 impl Site {
     fn new(params: &InferredLabelsParams, sides: &Sides) -> Result<Self, Fault> {
-        let learnt = Learnt::new(sides)?.map(|learnt| {
+        let learnt = LearntModels::new(sides)?.map(|learnt| {
             let forest = Forest::new(&learnt.models, DIMENSIONS, learnt.classes.len());
             forest
                 .map(|forest| (learnt, forest))
-                .map_err(Learnt::<DecisionTree>::wrong)
+                .map_err(LearntModels::<DecisionTree>::wrong)
         });
         Ok(Self {
             params: params.clone(),

@@ -132,7 +132,7 @@ impl Site {
 }
 
 /// A row, and whether all its pixels have a class or say that they have none.
-type Found = Result<(LabelImage, bool), Reason>;
+type DecodedImage = Result<(LabelImage, bool), Reason>;
 
 impl Site {
     fn images(
@@ -142,7 +142,7 @@ impl Site {
         emit: &mut Emit<'_>,
     ) -> Result<(), Fault> {
         let frames = frames.into_par_iter().enumerate();
-        let found: Vec<Found> = frames
+        let found: Vec<DecodedImage> = frames
             .filter_map(|(row, frame)| Some(self.image(frame, pixels.get(row)?)))
             .collect();
         let incomplete = found.iter().flatten().filter(|(_, complete)| !complete);
@@ -152,7 +152,7 @@ impl Site {
         emit.made(rows.collect())
     }
 
-    fn image(&self, frame: Frame, bytes: &[u8]) -> Found {
+    fn image(&self, frame: Frame, bytes: &[u8]) -> DecodedImage {
         let values = decode_values(bytes).map_err(|error| match error {
             ImageError::Values { .. } => "label image holds colours instead of values",
             _ => "label image does not decode",

@@ -61,14 +61,14 @@ impl Operator for Relocations {
         Work::each_row(
             views,
             vec![map, calibrations],
-            Place::new,
-            Place::relocations,
+            SiteMap::new,
+            SiteMap::relocations,
         )
     }
 }
 
 /// The map of a site.
-struct Place {
+struct SiteMap {
     params: RelocationsParams,
     classes: ClassNames,
     /// What the views are called; in the order of the map.
@@ -101,7 +101,7 @@ fn calibrations(rows: Vec<RelocationCalibration>) -> BTreeMap<(String, String), 
     rows.into_iter().filter_map(learnt).collect()
 }
 
-impl Place {
+impl SiteMap {
     /// Views without a graph are as good as absent: `views` has none.
     fn new(params: &RelocationsParams, sides: &Sides) -> Result<Self, Fault> {
         let mut views = sides.rows::<View>("map")?;

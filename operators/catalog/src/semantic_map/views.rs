@@ -59,7 +59,7 @@ impl Operator for Views {
 }
 
 /// A view, and what is amiss with it.
-struct Described {
+struct DescribedView {
     view: View,
     /// Pixels that have labels that are no class.
     unknown_px: u64,
@@ -91,7 +91,8 @@ impl Site {
 
     fn views(&self, images: Vec<LabelImage>, _: &Pixels, emit: &mut Emit<'_>) -> Result<(), Fault> {
         let images = images.into_par_iter();
-        let views: Vec<Result<Described, Reason>> = images.map(|image| self.view(image)).collect();
+        let views: Vec<Result<DescribedView, Reason>> =
+            images.map(|image| self.view(image)).collect();
         for described in views.iter().flatten() {
             emit.skip("value of a pixel is not a class", described.unknown_px);
             if let Some(reason) = &described.unplaced {
@@ -102,7 +103,7 @@ impl Site {
         emit.made(views.collect())
     }
 
-    fn view(&self, image: LabelImage) -> Result<Described, Reason> {
+    fn view(&self, image: LabelImage) -> Result<DescribedView, Reason> {
         let values = pixels::labels(&image)?;
         let (width, height) = (image.width, image.height);
         if image.classes.len() > MOST_CLASSES {
@@ -140,7 +141,7 @@ impl Site {
             camera: key.1,
             graph: graphs::row(&graph, &image.classes),
         };
-        Ok(Described {
+        Ok(DescribedView {
             view,
             unknown_px: labels.unknown_px(classes) as u64,
             unplaced,

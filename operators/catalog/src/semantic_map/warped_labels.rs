@@ -74,14 +74,14 @@ struct Site {
     spheres: Spheres,
     links: Links<ViewKey>,
     /// Views that were opened: those of a street are around many others.
-    opened: Mutex<BTreeMap<ViewKey, Arc<Seen>>>,
+    opened: Mutex<BTreeMap<ViewKey, Arc<OpenedView>>>,
 }
 
 /// Views that are kept open at most: 1 MB each of 1024 × 333 px.
 const MOST_OPEN: usize = 128;
 
 /// Another view, opened.
-struct Seen {
+struct OpenedView {
     sphere: OpenSphere,
     labels: Vec<u8>,
 }
@@ -165,7 +165,7 @@ impl Site {
     }
 
     /// The views to look through, with their poses in this one.
-    fn around(&self, view: &ViewKey, classes: &[String]) -> Vec<(Arc<Seen>, Pose)> {
+    fn around(&self, view: &ViewKey, classes: &[String]) -> Vec<(Arc<OpenedView>, Pose)> {
         let around = self.links.around(view);
         let step = around.len().div_ceil(self.params.views as usize).max(1);
         let taken = around.into_iter().step_by(step);
@@ -178,7 +178,7 @@ impl Site {
 
     /// Another view with labels of the same classes; `None` where something of it is missing or of another size, which is
     /// counted where it is this view's turn.
-    fn seen(&self, view: &ViewKey, classes: &[String]) -> Option<Arc<Seen>> {
+    fn seen(&self, view: &ViewKey, classes: &[String]) -> Option<Arc<OpenedView>> {
         let row = self
             .spheres
             .labels(view)
@@ -186,7 +186,7 @@ impl Site {
         if let Some(known) = self.opened().get(view) {
             return Some(known.clone());
         }
-        let seen = Arc::new(Seen {
+        let seen = Arc::new(OpenedView {
             labels: labels(row).ok()?,
             sphere: self.spheres.open(view, false).ok()?,
         });
@@ -201,7 +201,7 @@ impl Site {
         Some(seen)
     }
 
-    fn opened(&self) -> MutexGuard<'_, BTreeMap<ViewKey, Arc<Seen>>> {
+    fn opened(&self) -> MutexGuard<'_, BTreeMap<ViewKey, Arc<OpenedView>>> {
         self.opened.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }

@@ -91,8 +91,8 @@ record! {
 }
 
 impl Described {
-    fn view(&self) -> View {
-        View {
+    fn view(&self) -> ViewName {
+        ViewName {
             session: self.session.clone(),
             stamp: self.stamp,
             camera: self.camera.clone(),
@@ -106,13 +106,13 @@ impl Described {
 
 /// An image, by what names it within a site.
 #[derive(Debug, PartialEq, Eq)]
-struct View {
+struct ViewName {
     session: String,
     stamp: Stamp,
     camera: String,
 }
 
-impl View {
+impl ViewName {
     fn name(&self) -> String {
         format!("{}/{}/{}", self.session, self.camera, self.stamp.0)
     }
@@ -123,7 +123,7 @@ struct Finder {
     params: WordRelocationsParams,
     vocabulary: Vocabulary,
     index: PlaceIndex,
-    views: Vec<View>,
+    views: Vec<ViewName>,
 }
 
 impl Finder {

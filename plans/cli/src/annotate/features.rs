@@ -19,7 +19,7 @@ const LEAST_M2: f64 = 1e-4;
 
 /// One feature of a file.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Feature {
+pub struct DrawnFeature {
     /// Which one, for people.
     pub place: String,
     /// The label that it is, where it says so.
@@ -61,7 +61,7 @@ pub fn read(
     path: &Path,
     mosaic: Option<&Picture>,
     losses: &mut Losses,
-) -> Result<Vec<Feature>, Fault> {
+) -> Result<Vec<DrawnFeature>, Fault> {
     let at = |fault: Fault| fault.at(path.display());
     let text = evermap_datasets::read_text(path)
         .map_err(|error| at(Fault::user(format!("expected a file, found {error}"))))?;

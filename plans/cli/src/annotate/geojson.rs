@@ -4,14 +4,14 @@ use evermap_catalog::painted::ImageKey;
 use evermap_schemas::{Fault, Stamp};
 use serde_json::Value;
 
-use super::features::{Feature, Geometry, Point};
+use super::features::{DrawnFeature, Geometry, Point};
 use super::{Losses, is_blank};
 
 /// The features of a collection, of one feature, or of a bare geometry.
 ///
 /// # Errors
 /// A user fault for a collection without a list of features.
-pub fn features(value: &Value, losses: &mut Losses) -> Result<Vec<Feature>, Fault> {
+pub fn features(value: &Value, losses: &mut Losses) -> Result<Vec<DrawnFeature>, Fault> {
     if let Some(name) = value["crs"]["properties"]["name"].as_str() {
         // Programs that know of no local metres write one.
         losses.remark(&format!(
@@ -42,9 +42,9 @@ pub fn features(value: &Value, losses: &mut Losses) -> Result<Vec<Feature>, Faul
 
 /// # Errors
 /// In words, for what is no feature of a map.
-fn feature(value: &Value, place: &str) -> Result<Feature, &'static str> {
+fn feature(value: &Value, place: &str) -> Result<DrawnFeature, &'static str> {
     let properties = &value["properties"];
-    Ok(Feature {
+    Ok(DrawnFeature {
         place: place.to_owned(),
         label: said(label(value))?,
         within_m: None,

@@ -11,12 +11,12 @@
 pub mod features;
 pub mod geojson;
 pub mod known;
+pub mod mapped_image;
 pub mod mosaic;
 pub mod people;
 pub mod person_images;
 pub mod pixels;
 pub mod saying;
-pub mod seen;
 pub mod state;
 
 use std::collections::{BTreeMap, BTreeSet};

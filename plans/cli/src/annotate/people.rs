@@ -7,10 +7,10 @@ use evermap_catalog::PERSON;
 use evermap_schemas::Fault;
 
 use super::Losses;
-use super::features::Feature;
+use super::features::DrawnFeature;
+use super::mapped_image::{MappedImage, PixelBox, same};
 use super::person_images::{AskedBox, PersonImage, PersonImages};
 use super::pixels::{Boxes, PictureBox, Pixel, Program};
-use super::seen::{PixelBox, Seen, same};
 use super::state::State;
 
 /// What a file of COCO, CVAT or Label Studio says of the images of a folder that `evermap export --format coco` wrote. What
@@ -23,7 +23,7 @@ pub fn read(
     folder: &Path,
     (state, plane_m): (&State, f64),
     losses: &mut Losses,
-) -> Result<Vec<Feature>, Fault> {
+) -> Result<Vec<DrawnFeature>, Fault> {
     let images = PersonImages::read(folder)?;
     if let Some(other) = images.images.iter().find(|image| image.site != state.site) {
         let (site, found) = (&state.site, &other.site);
@@ -96,7 +96,7 @@ fn is_person(kind: Option<&str>) -> bool {
 
 /// What was said of somebody.
 #[derive(Debug)]
-enum Said<'a> {
+enum PersonEdit<'a> {
     /// Who was asked about is a person.
     Left(&'a AskedBox),
     /// Who was asked about is none.
@@ -108,7 +108,7 @@ enum Said<'a> {
 /// What boxes that were drawn on an image say of those whom was asked about, the most alike first. Nothing is said of an image
 /// that nobody looked at, and of who has a box of something else that is more alike than any of a person; where a shape was not
 /// read, nobody is taken for removed.
-fn said<'a>(asked: &[&'a AskedBox], image: &'a OnImage) -> Vec<Said<'a>> {
+fn said<'a>(asked: &[&'a AskedBox], image: &'a OnImage) -> Vec<PersonEdit<'a>> {
     if !image.is_seen {
         return Vec::new();
     }
@@ -140,13 +140,13 @@ fn said<'a>(asked: &[&'a AskedBox], image: &'a OnImage) -> Vec<Said<'a>> {
         .copied()
         .enumerate()
         .filter_map(|(a, one)| match left[a] {
-            true => Some(Said::Left(one)),
+            true => Some(PersonEdit::Left(one)),
             false if image.has_unread || others[a].is_some() => None,
-            false => Some(Said::Removed(one)),
+            false => Some(PersonEdit::Removed(one)),
         });
     let added = drawn.iter().zip(&meant).filter(|(_, meant)| !**meant);
     of_asked
-        .chain(added.map(|(one, _)| Said::Added(one)))
+        .chain(added.map(|(one, _)| PersonEdit::Added(one)))
         .collect()
 }
 
@@ -157,12 +157,12 @@ fn flat([[left, top], [right, bottom]]: [Pixel; 2]) -> PixelBox {
 /// What was said of an image, as features of a map.
 fn features_of(
     image: &PersonImage,
-    said: &[Said<'_>],
+    said: &[PersonEdit<'_>],
     map: (&State, f64),
     losses: &mut Losses,
-) -> Vec<Feature> {
+) -> Vec<DrawnFeature> {
     let key = image.key();
-    let seen = match Seen::new(&key, image.canvas().size, map) {
+    let seen = match MappedImage::new(&key, image.canvas().size, map) {
         Ok(seen) => seen,
         Err(reason) => {
             losses.note(reason, &image.file_name);
@@ -176,9 +176,9 @@ fn features_of(
     let mut features = Vec::new();
     for one in said {
         match one {
-            Said::Left(asked) => features.push(answer(asked, "accepted")),
-            Said::Removed(asked) => features.push(answer(asked, "rejected")),
-            Said::Added(drawn) => {
+            PersonEdit::Left(asked) => features.push(answer(asked, "accepted")),
+            PersonEdit::Removed(asked) => features.push(answer(asked, "rejected")),
+            PersonEdit::Added(drawn) => {
                 let place = format!("{}, {}", image.file_name, drawn.place);
                 match seen.standing(&flat(drawn.bounds)) {
                     Ok(at) => features.push(seen.feature(place, "drawn", at)),
@@ -236,11 +236,11 @@ mod tests {
         assert!(said(&asked, &unseen).is_empty());
     }
 
-    fn in_words(one: &Said<'_>) -> String {
+    fn in_words(one: &PersonEdit<'_>) -> String {
         match one {
-            Said::Left(one) => format!("left {}", one.question),
-            Said::Removed(one) => format!("removed {}", one.question),
-            Said::Added(one) => format!("added at {}", one.bounds[0][0]),
+            PersonEdit::Left(one) => format!("left {}", one.question),
+            PersonEdit::Removed(one) => format!("removed {}", one.question),
+            PersonEdit::Added(one) => format!("added at {}", one.bounds[0][0]),
         }
     }
 

@@ -13,7 +13,7 @@ use evermap_schemas::{Fault, Pose, Stamp, roles};
 use nalgebra::Vector3;
 
 use super::Losses;
-use super::features::Feature;
+use super::features::DrawnFeature;
 use super::known::KnownLabels;
 use super::state::{State, image_of, without_poses};
 
@@ -35,7 +35,7 @@ pub struct Speaker {
 
 /// What was said, in order, and how many labels are as they were.
 #[derive(Debug, Clone, Default, PartialEq)]
-pub struct Said {
+pub struct AnnotationBatch {
     /// The acts.
     pub acts: Vec<Annotation>,
     /// Features of labels that are just so already.
@@ -48,15 +48,15 @@ pub struct Said {
 /// # Errors
 /// A user fault for a map without poses, a bug fault.
 pub fn said(
-    features: &[Feature],
+    features: &[DrawnFeature],
     state: &State,
     speaker: &Speaker,
     losses: &mut Losses,
-) -> Result<Said, Fault> {
+) -> Result<AnnotationBatch, Fault> {
     if !state.has_poses {
         return Err(without_poses());
     }
-    let mut said = Said::default();
+    let mut said = AnnotationBatch::default();
     let mut names = BTreeSet::new();
     for feature in features {
         match acts(feature, state, speaker, losses)? {
@@ -74,7 +74,7 @@ pub fn said(
 
 /// What a feature says; nothing where all is so already.
 fn acts(
-    feature: &Feature,
+    feature: &DrawnFeature,
     state: &State,
     speaker: &Speaker,
     losses: &mut Losses,
@@ -167,7 +167,7 @@ fn acts(
 /// In words, for what is no outline, lies where nothing of the map is, or is shown by no image of it. What is removed may lie
 /// anywhere.
 fn drawn(
-    feature: &Feature,
+    feature: &DrawnFeature,
     state: &State,
 ) -> Result<Option<(&'static str, Outline)>, &'static str> {
     let ground = |at| state.holds.ground(at);
@@ -201,7 +201,7 @@ fn drawn(
 /// # Errors
 /// In words, for a feature of another kind than the speaker's: it is not renamed.
 fn kind<'a>(
-    feature: &'a Feature,
+    feature: &'a DrawnFeature,
     state: &State,
     speaker: &'a Speaker,
 ) -> Result<Option<&'a String>, &'static str> {
@@ -222,7 +222,7 @@ const STANDINGS: [&str; 4] = ["drawn", "accepted", "rejected", "removed"];
 /// rejected, or, of an image, whatever was said of it; or a new one. A name that came through another program counts where
 /// there is such a label.
 fn label_of(
-    feature: &Feature,
+    feature: &DrawnFeature,
     outline: Option<&(&'static str, Outline)>,
     kind: Option<&String>,
     labels: &KnownLabels,
@@ -244,7 +244,7 @@ fn label_of(
 
 /// The first label, by name, that is what a feature without a name draws.
 fn lying_there<'l>(
-    feature: &Feature,
+    feature: &DrawnFeature,
     drawn: &(&str, Outline),
     kind: Option<&String>,
     labels: &'l KnownLabels,
@@ -257,7 +257,7 @@ fn lying_there<'l>(
 /// Whether a label is what a feature without a name draws.
 fn lies_there(
     known: &PlacedLabel,
-    feature: &Feature,
+    feature: &DrawnFeature,
     drawn: &(&str, Outline),
     kind: Option<&String>,
 ) -> bool {
@@ -274,7 +274,7 @@ fn is_shown_by(known: &PlacedLabel, image: Option<&ImageKey>) -> bool {
 }
 
 /// A label is where it was as long as no point of it has moved by more than this, m.
-fn within_m(feature: &Feature) -> f64 {
+fn within_m(feature: &DrawnFeature) -> f64 {
     feature.within_m.unwrap_or_default().max(MOVED_M)
 }
 

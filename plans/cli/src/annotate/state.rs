@@ -20,7 +20,7 @@ use evermap_schemas::roles::{Anchor, Annotation, ImageAnnotation};
 use evermap_schemas::{Fault, LayerRow, Stamp};
 
 use super::Losses;
-use super::features::Feature;
+use super::features::DrawnFeature;
 use super::known::KnownLabels;
 use crate::reader::{MapReader, answered, one_site, typed};
 use crate::sessions;
@@ -131,7 +131,7 @@ impl State {
     pub async fn know_images(
         &mut self,
         reader: &MapReader,
-        features: &[Feature],
+        features: &[DrawnFeature],
     ) -> Result<(), Fault> {
         let names_one = features.iter().any(|feature| feature.image.is_some());
         if names_one && self.images.is_none() {

@@ -52,7 +52,7 @@ pub enum Command {
     Schema {
         /// What is described.
         #[arg(default_value = "plan")]
-        of: Described,
+        of: SchemaKind,
     },
     /// Query a map or logs with SQL.
     Sql(SqlArgs),
@@ -207,7 +207,7 @@ pub struct InspectArgs {
 
 /// What has a JSON Schema.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-pub enum Described {
+pub enum SchemaKind {
     /// Plans.
     Plan,
     /// Session manifests.

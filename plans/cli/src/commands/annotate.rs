@@ -8,10 +8,10 @@ use evermap_engine::map::version::Version;
 use evermap_schemas::layers::{BoxHypothesis, PlacedLabel};
 use evermap_schemas::{Fault, LayerRow, batch};
 
-use crate::annotate::features::{Feature, read};
+use crate::annotate::features::{DrawnFeature, read};
+use crate::annotate::mapped_image::plane_m;
 use crate::annotate::mosaic::Picture;
 use crate::annotate::saying::{Speaker, said};
-use crate::annotate::seen::plane_m;
 use crate::annotate::state::State;
 use crate::annotate::{Losses, begin, people, taking_in, unwritten, user};
 use crate::arguments::AnnotateArgs;
@@ -63,7 +63,7 @@ async fn features(
     file: &Path,
     (state, reader): (&State, &MapReader),
     losses: &mut Losses,
-) -> Result<Vec<Feature>, Fault> {
+) -> Result<Vec<DrawnFeature>, Fault> {
     let Some(folder) = &args.images else {
         let mosaic = args.mosaic.as_deref().map(Picture::read).transpose()?;
         return read(file, mosaic.as_ref(), losses);
@@ -74,7 +74,7 @@ async fn features(
 
 fn import(
     args: &AnnotateArgs,
-    features: &[Feature],
+    features: &[DrawnFeature],
     log: &Path,
     (state, version): (&State, &Version),
     losses: &mut Losses,

@@ -15,7 +15,7 @@ use evermap_schemas::Fault;
 use evermap_schemas::roles::{calibration, frames, odometry};
 use serde_json::Value;
 
-use crate::arguments::{Described, PlanArgs};
+use crate::arguments::{PlanArgs, SchemaKind};
 use crate::ending::{DONE, Ending, Failure};
 use crate::progress::line;
 use crate::quantity::of;
@@ -149,9 +149,9 @@ pub async fn test(args: &PlanArgs) -> Ending {
 ///
 /// # Errors
 /// That the output is closed.
-pub fn schema(of: Described) -> Ending {
+pub fn schema(of: SchemaKind) -> Ending {
     let mut schema = json_schema(&vocabulary(&operators::registry()));
-    if of == Described::Manifest {
+    if of == SchemaKind::Manifest {
         schema = manifest_schema(&schema);
     }
     let text =

@@ -4,7 +4,7 @@ use std::time::Duration;
 
 use evermap_contract::Registry;
 use evermap_engine::cluster::{self, ClusterRunner, ExecutorOptions};
-use evermap_engine::run::runner::{Runner, Told, Unfinished};
+use evermap_engine::run::runner::{Runner, Unfinished, UnitReport};
 use evermap_engine::sql::Limits;
 use evermap_engine::temporary::WorkFolder;
 use evermap_engine::unit::Unit;
@@ -81,7 +81,7 @@ impl WithinProcess {
 }
 
 impl Runner for WithinProcess {
-    fn start(&self, units: Vec<(usize, Unit)>) -> BoxStream<'static, Told> {
+    fn start(&self, units: Vec<(usize, Unit)>) -> BoxStream<'static, UnitReport> {
         self.cluster.start(units)
     }
 }

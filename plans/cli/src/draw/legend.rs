@@ -22,11 +22,11 @@ pub struct Legend {
     /// Height, px.
     pub height: u32,
     /// What it names.
-    pub names: Vec<Named>,
+    pub names: Vec<Caption>,
 }
 
 /// A name in a legend.
-pub struct Named {
+pub struct Caption {
     /// The name.
     pub name: String,
     /// Its colour.
@@ -37,7 +37,7 @@ pub struct Named {
     pub line: u32,
 }
 
-impl Named {
+impl Caption {
     /// Its upper edge, px.
     pub fn y(&self) -> f64 {
         12.5 + f64::from(self.line * LINE_PX)
@@ -68,7 +68,7 @@ impl Legend {
             if x > MARGIN_PX && x + wide > f64::from(width) - MARGIN_PX {
                 (x, line) = (MARGIN_PX, line + 1);
             }
-            names.push(Named {
+            names.push(Caption {
                 name,
                 colour,
                 x,

@@ -63,11 +63,11 @@ struct Row {
     name: String,
     /// Upper edge of its name, px.
     top: u32,
-    panels: Vec<Placed>,
+    panels: Vec<PlacedPanel>,
 }
 
 /// Where a panel's title is, and its image a line below it.
-struct Placed {
+struct PlacedPanel {
     x: u32,
     y: u32,
     width: u32,
@@ -85,7 +85,7 @@ struct Panel {
     is_photo: bool,
 }
 
-impl Placed {
+impl PlacedPanel {
     /// The strokes of the title, as far as there is room for it.
     fn letters(&self) -> String {
         let letter = strokes::width("nn") - strokes::width("n");
@@ -106,14 +106,14 @@ impl Stable {
         let high = (f64::from(wide) * f64::from(height) / f64::from(width)).round();
         let high = (high as u32).max(1);
         let top = self.height;
-        let place = |(number, panel): (u32, Panel)| Placed {
+        let place = |(number, panel): (u32, Panel)| PlacedPanel {
             x: number % columns * (wide + GAP_PX),
             y: top + LINE_PX + number / columns * (LINE_PX + high + GAP_PX),
             width: wide,
             height: high,
             panel,
         };
-        let panels: Vec<Placed> = (0..).zip(panels).map(place).collect();
+        let panels: Vec<PlacedPanel> = (0..).zip(panels).map(place).collect();
         let last = panels.last().map_or(top, |last| last.y);
         self.height = last + LINE_PX + high + 2 * GAP_PX;
         let Shot {

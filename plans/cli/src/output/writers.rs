@@ -1,6 +1,6 @@
 //! One writer a format.
 
-use std::io::{Error as IoError, Result as Written, Write};
+use std::io::{Error as IoError, Result as IoResult, Write};
 
 use arrow::array::RecordBatch;
 use arrow::csv::WriterBuilder as CsvBuilder;
@@ -118,7 +118,7 @@ struct Csv<'s> {
 impl Csv<'_> {
     fn lay_out(&mut self, batch: &RecordBatch, header: bool) -> Result<(), Failure> {
         let mut failed = None;
-        let out = Heard {
+        let out = ErrorKeeper {
             sink: self.sink,
             failed: &mut failed,
         };
@@ -133,13 +133,13 @@ impl Csv<'_> {
 }
 
 /// A sink for a library that makes a text of what goes wrong: whether nobody reads any more, or the disk is full, is kept.
-struct Heard<'s> {
+struct ErrorKeeper<'s> {
     sink: &'s mut Sink,
     failed: &'s mut Option<IoError>,
 }
 
-impl Heard<'_> {
-    fn keep(&mut self, written: Written<()>) -> Written<()> {
+impl ErrorKeeper<'_> {
+    fn keep(&mut self, written: IoResult<()>) -> IoResult<()> {
         written.map_err(|error| {
             let kind = error.kind();
             *self.failed = Some(error);
@@ -148,13 +148,13 @@ impl Heard<'_> {
     }
 }
 
-impl Write for Heard<'_> {
-    fn write(&mut self, bytes: &[u8]) -> Written<usize> {
+impl Write for ErrorKeeper<'_> {
+    fn write(&mut self, bytes: &[u8]) -> IoResult<usize> {
         let written = self.sink.write_all(bytes);
         self.keep(written).map(|()| bytes.len())
     }
 
-    fn flush(&mut self) -> Written<()> {
+    fn flush(&mut self) -> IoResult<()> {
         let written = self.sink.flush();
         self.keep(written)
     }

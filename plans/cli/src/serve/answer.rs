@@ -151,7 +151,7 @@ impl Turn {
                 let _ = end.send(error(fault));
             }
         });
-        let next = move |state: Option<(Given<T, E>, Reader, Fault, Held)>| async move {
+        let next = move |state: Option<(HandedItems<T, E>, Reader, Fault, LastMemory)>| async move {
             let (mut given, reader, late, read) = state?;
             drop(read);
             match timeout_at(last, given.recv()).await {
@@ -190,7 +190,7 @@ impl Turn {
             if count > self.rows {
                 return Err(self.too_many());
             }
-            let memory = Kept::of(&self.memory);
+            let memory = ReservedMemory::of(&self.memory);
             memory.takes(all.bytes)?;
             let is_end = some.iter().any(Result::is_err);
             let handed = Handed {
@@ -239,13 +239,13 @@ const GRACE: Duration = Duration::from_secs(1);
 /// Items on their way to who reads them, and the memory that they take.
 struct Handed<T, E> {
     items: Vec<Result<T, E>>,
-    memory: Kept,
+    memory: ReservedMemory,
 }
 
 /// The memory that is taken by what an answer is made of, or made into, until it is sent.
-pub struct Kept(MemoryReservation);
+pub struct ReservedMemory(MemoryReservation);
 
-impl Kept {
+impl ReservedMemory {
     /// That of one answer among others, which takes nothing yet.
     pub fn of(memory: &Arc<dyn MemoryPool>) -> Self {
         Self(MemoryConsumer::new("an answer that is being read").register(memory))
@@ -266,10 +266,10 @@ impl Kept {
 }
 
 /// The memory of the items that were asked for last.
-type Held = Option<Kept>;
+type LastMemory = Option<ReservedMemory>;
 
 /// Where items come from.
-type Given<T, E> = mpsc::Receiver<Handed<T, E>>;
+type HandedItems<T, E> = mpsc::Receiver<Handed<T, E>>;
 
 /// The rows of a query on a version.
 pub struct Answer {
@@ -278,7 +278,7 @@ pub struct Answer {
     /// They, within bounds.
     pub rows: BoxStream<'static, Result<RecordBatch, Fault>>,
     /// For what is made of them and kept, beside those that were asked for last.
-    pub memory: Kept,
+    pub memory: ReservedMemory,
 }
 
 /// Answers a query that only reads.
@@ -297,7 +297,7 @@ pub async fn answer(opened: &Opened, query: &str, bounds: &Bounds) -> Result<Ans
     let rows = stream.map(|batch| batch.map_err(|error| fault_of(&error)));
     Ok(Answer {
         schema,
-        memory: Kept::of(&bounds.memory),
+        memory: ReservedMemory::of(&bounds.memory),
         rows: turn.bounded(rows, 1, Size::of, |fault| fault),
     })
 }

@@ -79,7 +79,7 @@ impl Planned {
 }
 
 /// Who asks where rows are, and the answer.
-type Asked = Request<FlightDescriptor>;
+type InfoRequest = Request<FlightDescriptor>;
 type Info = Result<Response<FlightInfo>, Status>;
 
 /// Rows themselves.
@@ -158,7 +158,7 @@ fn sent(schema: SchemaRef) -> SchemaRef {
 }
 
 /// Where rows of a planned query are: here, by its ticket.
-fn statement(planned: &Planned, schema: &Schema, request: Asked) -> Info {
+fn statement(planned: &Planned, schema: &Schema, request: InfoRequest) -> Info {
     let ticket = TicketStatementQuery {
         statement_handle: planned.bytes()?.into(),
     };
@@ -166,7 +166,7 @@ fn statement(planned: &Planned, schema: &Schema, request: Asked) -> Info {
 }
 
 /// Where rows of these columns are: here, by this ticket.
-fn info(schema: &Schema, ticket: Any, request: Asked) -> Info {
+fn info(schema: &Schema, ticket: Any, request: InfoRequest) -> Info {
     let endpoint = FlightEndpoint::new().with_ticket(Ticket::new(ticket.encode_to_vec()));
     let info = FlightInfo::new().try_with_schema(schema);
     let info = info.map_err(|error| Status::internal(error.to_string()))?;
@@ -229,7 +229,7 @@ impl FlightSqlService for Flight {
     async fn get_flight_info_statement(
         &self,
         command: CommandStatementQuery,
-        request: Asked,
+        request: InfoRequest,
     ) -> Info {
         let (planned, schema) = self.plan(self.map(&request)?, command.query).await?;
         statement(&planned, &schema, request)
@@ -271,14 +271,18 @@ impl FlightSqlService for Flight {
     async fn get_flight_info_prepared_statement(
         &self,
         command: CommandPreparedStatementQuery,
-        request: Asked,
+        request: InfoRequest,
     ) -> Info {
         let prepared = Planned::parse(&command.prepared_statement_handle)?;
         let (planned, schema) = self.plan(self.map(&request)?, prepared.query).await?;
         statement(&planned, &schema, request)
     }
 
-    async fn get_flight_info_catalogs(&self, command: CommandGetCatalogs, request: Asked) -> Info {
+    async fn get_flight_info_catalogs(
+        &self,
+        command: CommandGetCatalogs,
+        request: InfoRequest,
+    ) -> Info {
         let ticket = command.as_any();
         let schema = command.into_builder().schema();
         info(&schema, ticket, request)
@@ -292,7 +296,11 @@ impl FlightSqlService for Flight {
         one(catalogs.build())
     }
 
-    async fn get_flight_info_schemas(&self, command: CommandGetDbSchemas, request: Asked) -> Info {
+    async fn get_flight_info_schemas(
+        &self,
+        command: CommandGetDbSchemas,
+        request: InfoRequest,
+    ) -> Info {
         let ticket = command.as_any();
         let schema = command.into_builder().schema();
         info(&schema, ticket, request)
@@ -306,7 +314,11 @@ impl FlightSqlService for Flight {
         one(schemas.build())
     }
 
-    async fn get_flight_info_tables(&self, command: CommandGetTables, request: Asked) -> Info {
+    async fn get_flight_info_tables(
+        &self,
+        command: CommandGetTables,
+        request: InfoRequest,
+    ) -> Info {
         let ticket = command.as_any();
         let schema = command.into_builder().schema();
         info(&schema, ticket, request)
@@ -339,7 +351,7 @@ impl FlightSqlService for Flight {
     async fn get_flight_info_table_types(
         &self,
         command: CommandGetTableTypes,
-        request: Asked,
+        request: InfoRequest,
     ) -> Info {
         let ticket = command.as_any();
         let schema = command.into_builder().schema();
@@ -356,7 +368,11 @@ impl FlightSqlService for Flight {
         one(types.build())
     }
 
-    async fn get_flight_info_sql_info(&self, command: CommandGetSqlInfo, request: Asked) -> Info {
+    async fn get_flight_info_sql_info(
+        &self,
+        command: CommandGetSqlInfo,
+        request: InfoRequest,
+    ) -> Info {
         let ticket = command.as_any();
         let schema = command.into_builder(about()?).schema();
         info(&schema, ticket, request)

@@ -46,13 +46,13 @@ pub struct ServedMap {
     /// The last of the torn versions that were told.
     torn: AtomicU64,
     /// Versions that were asked for, the last of them last.
-    open: Mutex<Vec<Kept>>,
+    open: Mutex<Vec<OpenVersion>>,
     /// How many were opened.
     openings: AtomicU64,
 }
 
 /// A version that is open, and what its file was like before it was.
-struct Kept {
+struct OpenVersion {
     opened: Erased<Opened>,
     state: FileState,
 }
@@ -213,7 +213,7 @@ impl ServedMap {
         };
         if let Some(state) = state {
             let opened = Arc::clone(&opened);
-            open.push(Kept { opened, state });
+            open.push(OpenVersion { opened, state });
         }
         let newest = self.newest.load(Ordering::Acquire);
         while open.len() > MOST_OPEN {

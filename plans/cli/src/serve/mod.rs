@@ -9,7 +9,7 @@
 //!      │
 //!   answer ── queries that only read, within time, rows and memory
 //!   maps ──── the versions of maps that are open
-//!   places ─── how many connections there may be, and how many of them of one address
+//!   permits ── how many connections there may be, and how many of them of one address
 //!   patience ─ how long a connection may say nothing; that the network is heard while queries compute
 //!   teach ──── what people say of maps, in logs of their own; only where it is asked for
 //! ```
@@ -22,7 +22,7 @@ mod flight;
 mod http;
 mod maps;
 mod patience;
-mod places;
+mod permits;
 mod postgres;
 mod teach;
 
@@ -43,7 +43,7 @@ use crate::serve::answer::Bounds;
 use crate::serve::http::page::encoded;
 use crate::serve::maps::Maps;
 use crate::serve::patience::waiting;
-use crate::serve::places::Places;
+use crate::serve::permits::Permits;
 use crate::serve::teach::Teaching;
 
 /// Serves maps until it is stopped.
@@ -93,10 +93,10 @@ pub async fn serve(args: &ServeArgs) -> Ending {
         "Postgres:      postgresql://{postgres_address}/{first}"
     ));
     let (waiting, connections) = (waiting(), args.connections as usize);
-    let places = Places::new(waiting, waiting, args.per_address);
+    let permits = Permits::new(waiting, waiting, args.per_address);
     let spoken = postgres::serve(
         postgres,
-        Places::new(waiting, connections, args.per_address),
+        Permits::new(waiting, connections, args.per_address),
         maps.clone(),
         access.clone(),
         bounds.clone(),
@@ -109,7 +109,7 @@ pub async fn serve(args: &ServeArgs) -> Ending {
         }
     };
     tokio::select! {
-        () = http::serve(web, places, maps, access, bounds, teaching.clone()) => {}
+        () = http::serve(web, permits, maps, access, bounds, teaching.clone()) => {}
         () = spoken => {}
         () = tidied => {}
     }

@@ -12,7 +12,7 @@ use tokio::runtime::Handle;
 use tokio::sync::{Notify, Semaphore, watch};
 use tokio::time::timeout;
 
-use crate::serve::places::{Full, Place, Places};
+use crate::serve::permits::{Full, Permit, Permits};
 
 /// Time until a connection must have asked for something, or come in; and for what it asks to be there whole.
 pub const PATIENCE: Duration = Duration::from_secs(10);
@@ -20,10 +20,10 @@ pub const PATIENCE: Duration = Duration::from_secs(10);
 /// Time that a connection may be idle after an answer, or take to say what it wants next.
 const IDLE: Duration = Duration::from_secs(60);
 
-/// How much longer it may take to tell a connection that it took too long, or that there is no place for it.
+/// How much longer it may take to tell a connection that it took too long, or that there is no permit for it.
 pub const TOLD: Duration = Duration::from_secs(1);
 
-/// Connections at once that are told why there is no place for them.
+/// Connections at once that are told why there is no permit for them.
 const REFUSED: usize = 16;
 
 /// Connections at once that wait, where as many files may be open.
@@ -46,12 +46,12 @@ const ASKED_TIMES: u32 = 6;
 /// How long network and clocks may be left alone by threads that compute.
 const ATTENDED_EVERY: Duration = Duration::from_millis(50);
 
-/// Takes connections for ever, and has each answered in a place of its own; where there is none, it is closed. What answers one
-/// is told if it has none because its address has enough: it says so.
+/// Takes connections for ever, and has each answered under a permit of its own; where there is none, it is closed. What
+/// answers one is told if it has none because its address has enough: it says so.
 pub async fn accept<C, E>(
     listener: TcpListener,
-    places: Places,
-    converse: impl Fn(TcpStream, Asked, Option<Fault>) -> C,
+    permits: Permits,
+    converse: impl Fn(TcpStream, RequestSignal, Option<Fault>) -> C,
 ) where
     C: Future<Output = Result<(), E>> + Send + 'static,
     E: Display,
@@ -63,18 +63,18 @@ pub async fn accept<C, E>(
             tokio::time::sleep(Duration::from_millis(100)).await;
             continue;
         };
-        match places.take(address.ip()) {
-            Ok(place) => {
+        match permits.take(address.ip()) {
+            Ok(permit) => {
                 if let Err(error) = notice_when_gone(&socket) {
                     tracing::debug!("a client that goes without a word is not noticed: {error}");
                 }
-                let asked = Asked::default();
-                attend(place, asked.clone(), converse(socket, asked, None));
+                let asked = RequestSignal::default();
+                attend(permit, asked.clone(), converse(socket, asked, None));
             }
             Err(Full::Address(fault)) => {
                 tracing::debug!("a connection is refused: {fault}");
                 if let Ok(turn) = Arc::clone(&refused).try_acquire_owned() {
-                    let told = converse(socket, Asked::default(), Some(fault));
+                    let told = converse(socket, RequestSignal::default(), Some(fault));
                     tokio::spawn(async move {
                         let _ = timeout(PATIENCE, told).await;
                         drop(turn);
@@ -133,23 +133,23 @@ pub fn keep_attending(runtime: Handle) -> std::io::Result<()> {
 
 /// Has a connection answered beside others, in its place among those that wait; one that asks for nothing is ended.
 fn attend<E: Display>(
-    place: Place,
-    asked: Asked,
+    permit: Permit,
+    asked: RequestSignal,
     connection: impl Future<Output = Result<(), E>> + Send + 'static,
 ) {
     tokio::spawn(async move {
         if let Some(Err(error)) = asked.within(PATIENCE + TOLD, connection).await {
             tracing::debug!("a connection ended: {error}");
         }
-        drop(place);
+        drop(permit);
     });
 }
 
 /// That a connection has asked for something.
 #[derive(Debug, Clone, Default)]
-pub struct Asked(Arc<Notify>);
+pub struct RequestSignal(Arc<Notify>);
 
-impl Asked {
+impl RequestSignal {
     /// It has.
     pub fn now(&self) {
         self.0.notify_one();
@@ -306,9 +306,9 @@ mod tests {
     #[tokio::test]
     async fn who_asks_in_time_may_take_longer_and_who_does_not_is_sent_away() {
         let (short, long) = (Duration::from_millis(20), Duration::from_millis(60));
-        let silent = Asked::default().within(short, tokio::time::sleep(10 * long));
+        let silent = RequestSignal::default().within(short, tokio::time::sleep(10 * long));
         assert!(silent.await.is_none());
-        let asked = Asked::default();
+        let asked = RequestSignal::default();
         let asks = asked.clone();
         let connection = async move {
             asks.now();

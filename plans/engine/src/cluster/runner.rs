@@ -20,7 +20,7 @@ use crate::cluster::serve::{ExecutorOptions, serve_units};
 use crate::error::remote_fault;
 use crate::map::receipt::Receipt;
 use crate::map::store::{Store, each};
-use crate::run::runner::{Report, Runner, Told, Unfinished};
+use crate::run::runner::{Report, Runner, Unfinished, UnitReport};
 use crate::unit::Unit;
 
 /// How often the map store is asked for receipts.
@@ -104,7 +104,7 @@ impl ClusterRunner {
 }
 
 impl Runner for ClusterRunner {
-    fn start(&self, units: Vec<(usize, Unit)>) -> BoxStream<'static, Told> {
+    fn start(&self, units: Vec<(usize, Unit)>) -> BoxStream<'static, UnitReport> {
         let (outcomes, mut received) = mpsc::unbounded_channel();
         let wave = Wave {
             cluster: self.clone(),
@@ -118,7 +118,7 @@ impl Runner for ClusterRunner {
 /// One wave of units, from submission to the last outcome.
 struct Wave {
     cluster: ClusterRunner,
-    outcomes: mpsc::UnboundedSender<Told>,
+    outcomes: mpsc::UnboundedSender<UnitReport>,
 }
 
 type Missing = BTreeMap<usize, Unit>;

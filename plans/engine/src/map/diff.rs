@@ -119,7 +119,7 @@ impl Comparison {
         };
         let schemas = [before, after].map(|side| side.as_ref().unwrap_or(one).schema());
         let declared = self.declaration(layer);
-        let columns = Compared::of(declared.as_ref(), [&schemas[0], &schemas[1]]);
+        let columns = ComparedColumns::of(declared.as_ref(), [&schemas[0], &schemas[1]]);
         let sides = [("before", before), ("after", after)];
         for ((name, table), schema) in sides.into_iter().zip(&schemas) {
             let empty = || EmptyTable::new(schema.clone());
@@ -205,7 +205,7 @@ const SAID: [&str; 3] = ["change", "moved_m", "moved_rad"];
 const PLACES: [&str; 2] = [geoparquet::COLUMN, "geometry_before"];
 
 /// What two versions of a layer are compared by.
-struct Compared {
+struct ComparedColumns {
     /// Columns that match rows; none where the whole row does.
     key: Vec<String>,
     /// A column of geometries.
@@ -214,7 +214,7 @@ struct Compared {
     pose: Option<String>,
 }
 
-impl Compared {
+impl ComparedColumns {
     /// By the layer's declaration, where there is one, and the columns of either version.
     fn of(declared: Option<&Layer>, schemas: [&Schema; 2]) -> Self {
         let both = |name: &str| schemas.iter().all(|schema| schema.index_of(name).is_ok());

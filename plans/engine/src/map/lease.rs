@@ -40,12 +40,12 @@ enum Work {
 
 /// A lease as it is written.
 #[derive(Debug, Clone, Serialize, Deserialize)]
-struct Written {
+struct StoredLease {
     work: Work,
     until: DateTime<Utc>,
 }
 
-impl Written {
+impl StoredLease {
     fn at(now: DateTime<Utc>, work: Work) -> Self {
         Self {
             work,
@@ -103,7 +103,7 @@ impl Lease {
 
     async fn take(store: &Store, work: Work) -> Result<Self, Fault> {
         let name = format!("{FOLDER}/{}.json", uuid::Uuid::new_v4());
-        let written = Written::at(Utc::now(), work);
+        let written = StoredLease::at(Utc::now(), work);
         store.write_json(&name, &written).await?;
         let until = Until::new(Mutex::new(written.until));
         let renewal = Renewal {
@@ -177,7 +177,7 @@ impl Renewal {
             return false;
         }
         // From `now` on: it does not hold for longer if this is suspended here.
-        let written = Written::at(now, self.work);
+        let written = StoredLease::at(now, self.work);
         match self.store.write_json(&self.name, &written).await {
             Ok(()) => *locked(&self.until) = written.until,
             Err(fault) => tracing::warn!("the lease {} was not renewed: {fault}", self.name),
@@ -191,7 +191,7 @@ impl Renewal {
 /// # Errors
 /// A resource fault when the store does not answer, a data fault for a lease that does not read.
 pub async fn is_held(store: &Store, name: &str) -> Result<bool, Fault> {
-    let lease = store.read_json::<Written>(name).await?;
+    let lease = store.read_json::<StoredLease>(name).await?;
     Ok(lease.is_some_and(|lease| lease.until >= Utc::now()))
 }
 
@@ -199,7 +199,7 @@ pub async fn is_held(store: &Store, name: &str) -> Result<bool, Fault> {
 async fn is_at(store: &Store, work: Work) -> Result<bool, Fault> {
     let mut found = false;
     for (name, _) in store.list(FOLDER).await? {
-        match store.read_json::<Written>(&name).await {
+        match store.read_json::<StoredLease>(&name).await {
             Ok(Some(lease)) if lease.until >= Utc::now() => found |= lease.work == work,
             Ok(None) => {}
             Err(fault) if fault.kind != Kind::Data => return Err(fault),
@@ -254,7 +254,7 @@ mod tests {
     async fn the_lease_of_the_dead_ends() {
         let folder = tempfile::tempdir().unwrap();
         let store = Store::open(folder.path().to_str().unwrap(), true).unwrap();
-        let ended = Written {
+        let ended = StoredLease {
             work: Work::Run,
             until: Utc::now() - TERM,
         };

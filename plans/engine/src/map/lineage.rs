@@ -106,7 +106,7 @@ pub async fn lineage(map: &Map, layer: &str, session: Option<&str>) -> Result<Ve
         missing("layer", layer, known)
     })?;
     let of = Of::new(map, session)?;
-    let mut found = Found::default();
+    let mut found = Origins::default();
     let mut level = Vec::new();
     for (artifact, recipe) in stored.artifacts.iter().zip(&stored.recipes) {
         if of.has(&artifact.extent) {
@@ -185,13 +185,13 @@ fn key<'a>(step: &'a str, rows: &'a Artifact) -> (&'a str, &'a Extent, &'a str) 
 
 /// What was found so far.
 #[derive(Default)]
-struct Found {
+struct Origins {
     entries: Vec<Origin>,
     /// Entries by name, what they are of, and content.
     numbers: BTreeMap<(String, Extent, String), u32>,
 }
 
-impl Found {
+impl Origins {
     /// The number of an entry, and whether it is new.
     fn number(&mut self, origin: Origin) -> (u32, bool) {
         let extent = Extent {

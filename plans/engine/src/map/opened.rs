@@ -18,7 +18,7 @@ use crate::map::artifact::read_in_order;
 use crate::map::damage::Damage;
 use crate::map::receipt::{Artifact, RECEIPTS};
 use crate::map::rows::{LayerFile, LayerInfo, VersionInfo};
-use crate::map::sound::{Known, Sound};
+use crate::map::sound::{Sound, SoundArtifacts};
 use crate::map::store::{ARTIFACTS, Store, each};
 use crate::map::version::{MappedSession, StoredLayer, Version};
 use crate::map::{lease, local};
@@ -74,7 +74,7 @@ pub struct Map {
     /// The logs that were opened, by session.
     logs: Arc<Mutex<BTreeMap<String, Dataset>>>,
     /// The artifacts that were read and found right.
-    known: Arc<Known>,
+    known: Arc<SoundArtifacts>,
 }
 
 impl Map {

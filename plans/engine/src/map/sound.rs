@@ -48,9 +48,9 @@ struct Reading {
 
 /// What was found right since a map was opened, for whoever reads it and writes nothing into it.
 #[derive(Debug, Default)]
-pub struct Known(Mutex<States>);
+pub struct SoundArtifacts(Mutex<States>);
 
-impl Known {
+impl SoundArtifacts {
     fn has(&self, artifact: &Artifact, state: &FileState) -> bool {
         locked(&self.0).get(&artifact.content) == Some(state)
     }
@@ -104,7 +104,7 @@ impl<'s> Sound<'s> {
         store: &'s Store,
         published: &str,
         artifacts: &[Artifact],
-        known: &Known,
+        known: &SoundArtifacts,
     ) -> Result<(), Fault> {
         let published = DateTime::parse_from_rfc3339(published).ok();
         let is_before = |time: DateTime<Utc>| published.is_some_and(|then| time <= then);
@@ -137,7 +137,7 @@ impl<'s> Sound<'s> {
     async fn check_contents(
         store: &'s Store,
         artifacts: Vec<(&Artifact, ObjectMeta)>,
-        known: &Known,
+        known: &SoundArtifacts,
     ) -> Result<(), Fault> {
         if artifacts.is_empty() {
             return Ok(());
@@ -352,7 +352,7 @@ mod tests {
             let old = std::fs::File::options().append(true).open(path).unwrap();
             old.set_modified(std::time::SystemTime::UNIX_EPOCH).unwrap();
         }
-        let known = Known::default();
+        let known = SoundArtifacts::default();
         let check = async |artifact: &Artifact, published: &str| {
             let artifacts = std::slice::from_ref(artifact);
             Sound::check(&store, published, artifacts, &known).await

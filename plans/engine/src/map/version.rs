@@ -88,7 +88,7 @@ pub struct Previous {
 }
 
 /// A version with the names of the files that hold parts of its lists, or none, or why it does not read.
-pub type Found = Result<Option<(Version, Vec<String>)>, Fault>;
+pub type StoredVersion = Result<Option<(Version, Vec<String>)>, Fault>;
 
 /// One version of a map.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -155,7 +155,10 @@ impl Version {
     ///
     /// # Errors
     /// A resource fault when the store does not answer.
-    pub fn all(store: &Store, numbers: &[u64]) -> impl Stream<Item = Result<(u64, Found), Fault>> {
+    pub fn all(
+        store: &Store,
+        numbers: &[u64],
+    ) -> impl Stream<Item = Result<(u64, StoredVersion), Fault>> {
         answers(numbers.iter().map(move |&number| async move {
             match Self::with_parts(store, number).await {
                 Err(fault) if fault.kind != Kind::Data => Err(fault),
@@ -164,7 +167,7 @@ impl Version {
         }))
     }
 
-    async fn with_parts(store: &Store, version: u64) -> Found {
+    async fn with_parts(store: &Store, version: u64) -> StoredVersion {
         let name = Self::name(version);
         let Some(mut found) = sealed::read::<Value>(store, &name).await? else {
             return Ok(None);

@@ -13,7 +13,7 @@ use crate::map::receipt::LogContent;
 use crate::map::version::{MappedSession, Version};
 
 /// A session that a run is given.
-pub struct Given {
+pub struct GivenSession {
     name: String,
     site: String,
     manifest: Manifest,
@@ -25,14 +25,14 @@ pub fn joining(
     sessions: &[Session],
     manifest: Option<&Manifest>,
     mapped: &BTreeMap<String, MappedSession>,
-) -> Vec<Given> {
+) -> Vec<GivenSession> {
     let named = manifest.into_iter().flat_map(|manifest| &manifest.sessions);
     let named = named.filter(|named| named.site.is_some());
     let sited: BTreeSet<&str> = named.map(|named| named.name.as_str()).collect();
     let all = manifest.is_some_and(|manifest| manifest.site.is_some());
     let given = |session: &Session| {
         let site = site_of(session, all || sited.contains(&*session.name), mapped);
-        Given {
+        GivenSession {
             name: session.name.to_string(),
             manifest: manifest_of(session, &site),
             site,
@@ -42,7 +42,7 @@ pub fn joining(
     sessions.iter().map(given).collect()
 }
 
-impl Given {
+impl GivenSession {
     /// Joins the sessions that the map has, in the place of one of its name. Gives that one, where it was of another log.
     ///
     /// # Errors
@@ -75,7 +75,7 @@ impl Given {
 /// The sessions of the coming version, each with its manifest and its site: those that the map has, and in the place of some
 /// those that join it.
 pub fn coming<'a>(
-    joining: &'a [Given],
+    joining: &'a [GivenSession],
     mapped: &'a BTreeMap<String, MappedSession>,
 ) -> impl Iterator<Item = (&'a str, &'a Manifest, &'a str)> {
     let names: BTreeSet<&str> = joining.iter().map(|given| given.name.as_str()).collect();

@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use evermap_datasets::manifest::{BITS, faulty_role, faulty_session};
-use evermap_language::{ManifestPath, Position, Source, entry_place, role_places};
+use evermap_language::{ManifestPath, Position, Source, entry_position, role_positions};
 use evermap_schemas::{Fault, roles};
 
 /// A path as a plan writes it: relative to the working folder, or, where there is no such file, to the plan.
@@ -49,7 +49,7 @@ pub fn located(fault: Fault, manifest: Option<&Source>) -> Fault {
 /// Where a manifest says what is wrong of a role; nowhere else is such a fault.
 fn place_of_role<'f>(fault: &'f Fault, manifest: &Source) -> Option<(Position, &'f str)> {
     let role = faulty_role(fault)?;
-    let [name, topics] = role_places(manifest, role)?;
+    let [name, topics] = role_positions(manifest, role)?;
     let is_played = |known: &roles::Role| known.name == role && known.messages().is_some();
     match roles::ALL.iter().any(is_played) {
         true => Some((topics, "")),
@@ -60,7 +60,7 @@ fn place_of_role<'f>(fault: &'f Fault, manifest: &Source) -> Option<(Position, &
 /// Where a manifest says what is wrong of a session, and where else the fault is: at a file.
 fn place_of_session<'f>(fault: &'f Fault, manifest: &Source) -> Option<(Position, &'f str)> {
     let (entry, rest) = faulty_session(fault)?;
-    Some((entry_place(manifest, entry)?, rest))
+    Some((entry_position(manifest, entry)?, rest))
 }
 
 /// Where a manifest says bits of samples.
@@ -68,7 +68,7 @@ fn place_of_bits<'f>(fault: &'f Fault, manifest: &Source) -> Option<(Position, &
     if fault.place != BITS {
         return None;
     }
-    Some((entry_place(manifest, BITS)?, ""))
+    Some((entry_position(manifest, BITS)?, ""))
 }
 
 #[cfg(test)]

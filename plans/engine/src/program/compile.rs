@@ -7,7 +7,7 @@ use arrow::array::RecordBatch;
 use arrow::datatypes::{Field, SchemaRef};
 use datafusion::prelude::SessionContext;
 use evermap_contract::{Entry, Phase, Reach, Registry, Shape};
-use evermap_language::{Body, Grain, Input, Place, Plan, PlanFaults, PythonStep, Step};
+use evermap_language::{Body, Grain, Input, Location, Plan, PlanFaults, PythonStep, Step};
 use evermap_schemas::{Cell, ImageRef, layers};
 use serde_json::Value;
 
@@ -120,7 +120,7 @@ impl<'a> Compiler<'a> {
     }
 
     fn fault(&mut self, step: &Step, message: impl Into<String>) {
-        self.faults.error(Place::Text(step.position), message);
+        self.faults.error(Location::Text(step.position), message);
     }
 
     /// Layers of the version before have the schema of the operator that makes them in this plan.

@@ -8,7 +8,7 @@ use datafusion::datasource::{MemTable, TableType, provider_as_source};
 use datafusion::error::{DataFusionError, Result as DataFusionResult};
 use datafusion::logical_expr::LogicalPlan;
 use datafusion::prelude::{DataFrame, SessionContext};
-use evermap_language::{Part, Place, PlanFaults, Step};
+use evermap_language::{Location, PlanFaults, QueryPosition, Step};
 
 use crate::error::{fault_of, place_in_query};
 use crate::sql;
@@ -20,8 +20,8 @@ pub struct Query<'q> {
     pub step: &'q str,
     /// Its text.
     pub text: &'q str,
-    /// Its place.
-    pub place: Place,
+    /// Its location.
+    pub location: Location,
 }
 
 impl<'q> Query<'q> {
@@ -30,7 +30,7 @@ impl<'q> Query<'q> {
         Self {
             step: &step.name,
             text,
-            place: step.body_place,
+            location: step.body_location,
         }
     }
 
@@ -54,16 +54,16 @@ impl<'q> Query<'q> {
         if let Some(first) = repeated.first() {
             let names = repeated.join(", ");
             let what = format!("gives two columns the name {names}; name one with AS");
-            self.fault(Part::Word(first), &what, faults);
+            self.fault(QueryPosition::Word(first), &what, faults);
         } else if let Some(first) = volatile.first() {
             let names = volatile.join(", ");
             let what = format!(
                 "calls {names}, whose answer changes from run to run; order by columns, and take instants from the rows"
             );
-            self.fault(Part::Word(first), &what, faults);
+            self.fault(QueryPosition::Word(first), &what, faults);
         } else if let Some(open) = open {
             let what = format!("has {open}; {}", sql::OpenValues::NEXT);
-            self.fault(Part::Word(open.first()), &what, faults);
+            self.fault(QueryPosition::Word(open.first()), &what, faults);
         } else if let Err(error) = planned_whole(context, plan).await {
             self.does_not_plan(context, &error, faults);
         } else {
@@ -78,7 +78,7 @@ impl<'q> Query<'q> {
             if let Some((kind, next)) = unstorable(field.data_type()) {
                 let name = field.name();
                 let what = format!("gives {name} as {kind}, which Parquet cannot hold; {next}");
-                self.fault(Part::Word(name), &what, faults);
+                self.fault(QueryPosition::Word(name), &what, faults);
             }
         }
     }
@@ -96,12 +96,12 @@ impl<'q> Query<'q> {
         };
         let (line, column) = place_in_query(error).unwrap_or((1, 1));
         let what = format!("does not plan: {}{next}", fault.message);
-        self.fault(Part::At(line, column), &what, faults);
+        self.fault(QueryPosition::At(line, column), &what, faults);
     }
 
-    fn fault(self, part: Part<'_>, what: &str, faults: &mut PlanFaults) {
-        let place = faults.inside(self.place, self.text, part);
-        faults.error(place, format!("the query of `{}` {what}", self.step));
+    fn fault(self, part: QueryPosition<'_>, what: &str, faults: &mut PlanFaults) {
+        let location = faults.inside(self.location, self.text, part);
+        faults.error(location, format!("the query of `{}` {what}", self.step));
     }
 }
 

@@ -7,7 +7,7 @@ use arrow::datatypes::{DataType, FieldRef, Fields, Schema, SchemaRef};
 use datafusion::prelude::SessionContext;
 use evermap_contract::Registry;
 use evermap_contract::laws::table;
-use evermap_language::{Body, Input, Place, Plan, PlanFaults, PlanTest, Row, nearest};
+use evermap_language::{Body, Input, Location, Plan, PlanFaults, PlanTest, Row, nearest};
 use evermap_schemas::type_name;
 use serde_json::Value;
 
@@ -30,7 +30,7 @@ pub async fn check_columns(plan: &Plan, context: &SessionContext, faults: &mut P
             for unknown in unknown(schema.fields(), rows) {
                 let (test_name, table) = (&test.name, input.written());
                 let text = format!("test `{test_name}`: `{table}` has {unknown}");
-                faults.error(Place::Text(test.position), text);
+                faults.error(Location::Text(test.position), text);
             }
         }
     }
@@ -50,7 +50,7 @@ pub async fn check_given(
             };
             for misfit in misfits(plan, registry, test, (input, rows.as_slice()), &schema) {
                 let text = format!("test `{}`: {misfit}", test.name);
-                faults.error(Place::Text(test.position), text);
+                faults.error(Location::Text(test.position), text);
             }
         }
     }

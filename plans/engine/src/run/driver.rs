@@ -15,11 +15,11 @@ use crate::map::sound::Sound;
 use crate::map::store::{ARTIFACTS, each};
 use crate::map::version::{Previous, StoredLayer};
 use crate::program::Stage;
-use crate::run::held::Held;
 use crate::run::mend::{Makers, Mending};
-use crate::run::pending::{Pending, Place};
+use crate::run::pending::{Pending, UnitId};
+use crate::run::previous_units::PreviousUnits;
 use crate::run::runner::{Report, Runner};
-use crate::run::told::Told;
+use crate::run::skip_reasons::SkipReasons;
 use crate::run::{Event, Run};
 use crate::unit::Unit;
 
@@ -30,16 +30,16 @@ pub struct Driver<'r, 'a> {
     /// What `previous` means in it.
     pub previous: Previous,
     /// The units of the version before.
-    held: Held<'r>,
+    held: PreviousUnits<'r>,
     /// Which artifacts are what was written.
     pub sound: Sound<'r>,
     units: Vec<Pending>,
     /// How many units each still waits for.
     waiting: Vec<usize>,
     /// The units that wait for each.
-    dependents: BTreeMap<Place, Vec<usize>>,
+    dependents: BTreeMap<UnitId, Vec<usize>>,
     /// What was done, and whether it had been done before.
-    receipts: BTreeMap<Place, (Receipt, bool)>,
+    receipts: BTreeMap<UnitId, (Receipt, bool)>,
     /// Receipts that were taken away, as their rows are damaged.
     damaged: Mutex<Makers>,
 }
@@ -51,7 +51,7 @@ impl<'r, 'a> Driver<'r, 'a> {
     /// As [`Run::units`] and [`Run::previous`].
     pub fn new(run: &'r Run<'a>, lease: &'r Lease, sound: Sound<'r>) -> Result<Self, Fault> {
         let units = run.units()?;
-        let mut dependents: BTreeMap<Place, Vec<usize>> = BTreeMap::new();
+        let mut dependents: BTreeMap<UnitId, Vec<usize>> = BTreeMap::new();
         for (index, unit) in units.iter().enumerate() {
             for earlier in &unit.before {
                 dependents.entry(earlier.clone()).or_default().push(index);
@@ -192,10 +192,10 @@ impl<'r, 'a> Driver<'r, 'a> {
             receipt: &receipt,
             cached,
         });
-        let place = &self.units[index].place;
-        self.receipts.insert(place.clone(), (receipt, cached));
+        let id = &self.units[index].id;
+        self.receipts.insert(id.clone(), (receipt, cached));
         let mut ready = Vec::new();
-        for &later in self.dependents.get(place).into_iter().flatten() {
+        for &later in self.dependents.get(id).into_iter().flatten() {
             self.waiting[later] -= 1;
             if self.waiting[later] == 0 {
                 ready.push(later);
@@ -205,11 +205,11 @@ impl<'r, 'a> Driver<'r, 'a> {
     }
 
     fn label(&self, index: usize) -> String {
-        self.units[index].place.label()
+        self.units[index].id.label()
     }
 
     async fn unit(&self, index: usize) -> Result<Unit, Fault> {
-        let artifact = |place: &Place| Ok(self.receipt(place)?.artifact.clone());
+        let artifact = |id: &UnitId| Ok(self.receipt(id)?.artifact.clone());
         let unit = &self.units[index];
         let before = self.held.once(unit).await?;
         let unit = unit.assemble(self.run, &self.previous, before.as_ref(), artifact)?;
@@ -219,9 +219,9 @@ impl<'r, 'a> Driver<'r, 'a> {
         })
     }
 
-    fn receipt(&self, place: &Place) -> Result<&Receipt, Fault> {
-        let missing = || Fault::bug(format!("{} was not run", place.label()));
-        let (receipt, _) = self.receipts.get(place).ok_or_else(missing)?;
+    fn receipt(&self, id: &UnitId) -> Result<&Receipt, Fault> {
+        let missing = || Fault::bug(format!("{} was not run", id.label()));
+        let (receipt, _) = self.receipts.get(id).ok_or_else(missing)?;
         Ok(receipt)
     }
 
@@ -251,8 +251,8 @@ impl<'r, 'a> Driver<'r, 'a> {
     /// Every unit that is done: its stage, its receipt, whether it had been done before.
     pub fn done(mut self) -> Vec<(String, Receipt, bool)> {
         let done = |unit: Pending| {
-            let (receipt, cached) = self.receipts.remove(&unit.place)?;
-            Some((unit.place.stage, receipt, cached))
+            let (receipt, cached) = self.receipts.remove(&unit.id)?;
+            Some((unit.id.stage, receipt, cached))
         };
         self.units.into_iter().filter_map(done).collect()
     }
@@ -264,7 +264,7 @@ impl<'r, 'a> Driver<'r, 'a> {
     pub fn layers(&self) -> Result<BTreeMap<String, StoredLayer>, Fault> {
         let mut layers: BTreeMap<String, StoredLayer> = BTreeMap::new();
         for unit in &self.units {
-            let (stage, receipt) = (&unit.place.stage, self.receipt(&unit.place)?);
+            let (stage, receipt) = (&unit.id.stage, self.receipt(&unit.id)?);
             let layer = layers.entry(stage.clone()).or_insert_with(|| StoredLayer {
                 published: self.run.program.write.contains(stage),
                 op: unit.stages.last().and_then(Stage::op).map(str::to_owned),
@@ -276,12 +276,13 @@ impl<'r, 'a> Driver<'r, 'a> {
         Ok(layers)
     }
 
-    /// What was skipped or lost: operators' counts as [`Told`] has them, a log's counted once however many units read it.
+    /// What was skipped or lost: operators' counts as [`SkipReasons`] has them, a log's counted once however many units
+    /// read it.
     pub fn losses(&self) -> BTreeMap<String, u64> {
-        let mut told = Told::default();
+        let mut told = SkipReasons::default();
         for unit in &self.units {
-            if let Some((receipt, _)) = self.receipts.get(&unit.place) {
-                told.add(&unit.place, &receipt.skipped);
+            if let Some((receipt, _)) = self.receipts.get(&unit.id) {
+                told.add(&unit.id, &receipt.skipped);
             }
         }
         let mut losses = told.lines();

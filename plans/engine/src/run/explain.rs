@@ -12,8 +12,8 @@ use crate::map::store::each;
 use crate::map::version::Previous;
 use crate::program::{Stage, Task};
 use crate::run::Run;
-use crate::run::held::Held;
-use crate::run::pending::{Pending, Place};
+use crate::run::pending::{Pending, UnitId};
+use crate::run::previous_units::PreviousUnits;
 
 record! {
     /// What would become of one unit.
@@ -38,7 +38,7 @@ impl Run<'_> {
     /// As [`Run::execute`], as far as it is not about running.
     pub async fn explain(&self) -> Result<Vec<UnitForecast>, Fault> {
         let receipts = self.store.list(RECEIPTS).await?.into_iter();
-        let mut known = Known {
+        let mut known = Forecaster {
             run: self,
             previous: self.previous()?,
             sound: Sound::load(self.store).await?,
@@ -52,17 +52,17 @@ impl Run<'_> {
         let mut forecasts = Vec::new();
         let units = self.units()?;
         // Those of a stage do not wait for each other.
-        for units in units.chunk_by(|one, next| one.place.stage == next.place.stage) {
+        for units in units.chunk_by(|one, next| one.id.stage == next.id.stage) {
             let fates = each(units.iter().map(|unit| known.fate(unit))).await?;
             for (unit, fate) in units.iter().zip(fates) {
                 forecasts.push(UnitForecast {
-                    step: unit.place.stage.clone(),
-                    unit: unit.place.label(),
+                    step: unit.id.stage.clone(),
+                    unit: unit.id.label(),
                     recompute: fate.kept.is_none(),
                     why: fate.why,
                 });
                 if let Some(artifact) = fate.kept {
-                    known.artifacts.insert(unit.place.clone(), artifact);
+                    known.artifacts.insert(unit.id.clone(), artifact);
                 }
             }
         }
@@ -84,22 +84,22 @@ impl Fate {
 }
 
 /// What is known without running anything: the artifacts of the units that were done before.
-struct Known<'r, 'a> {
+struct Forecaster<'r, 'a> {
     run: &'r Run<'a>,
     previous: Previous,
     sound: Sound<'r>,
-    held: Held<'r>,
+    held: PreviousUnits<'r>,
     /// The names of the receipts that are there: those of tens of thousands of units are listed faster than read.
     receipts: BTreeSet<String>,
-    artifacts: BTreeMap<Place, Artifact>,
+    artifacts: BTreeMap<UnitId, Artifact>,
 }
 
-impl Known<'_, '_> {
+impl Forecaster<'_, '_> {
     async fn fate(&self, unit: &Pending) -> Result<Fate, Fault> {
         let mut inputs = unit.before.iter();
         if let Some(open) = inputs.find(|input| !self.artifacts.contains_key(input)) {
-            let change = match self.held.receipt(&unit.place).await? {
-                None => Some(new_reason(&unit.place.extent, &self.held)),
+            let change = match self.held.receipt(&unit.id).await? {
+                None => Some(new_reason(&unit.id.extent, &self.held)),
                 Some(before) => stage_change(&before.recipe, &unit.stages),
             };
             let follows = || format!("{} is recomputed", open.label());
@@ -122,8 +122,8 @@ impl Known<'_, '_> {
             });
         }
         Ok(Fate::recomputed(
-            match self.held.receipt(&unit.place).await? {
-                None => new_reason(&unit.place.extent, &self.held),
+            match self.held.receipt(&unit.id).await? {
+                None => new_reason(&unit.id.extent, &self.held),
                 Some(before) => recipe_change(&before.recipe, &recipe),
             },
         ))
@@ -138,7 +138,7 @@ impl Known<'_, '_> {
         if !self.receipts.contains(&Receipt::name(digest)) {
             return Ok(None);
         }
-        if let Some(artifact) = self.held.artifact(&unit.place, digest) {
+        if let Some(artifact) = self.held.artifact(&unit.id, digest) {
             let damage = self.sound.damage(artifact).await?;
             return Ok(Some((artifact.clone(), damage, "unchanged")));
         }
@@ -192,7 +192,7 @@ fn recipe_change(then: &Recipe, now: &Recipe) -> String {
     "its rows are gone from the map".to_owned()
 }
 
-fn new_reason(extent: &Extent, before: &Held<'_>) -> String {
+fn new_reason(extent: &Extent, before: &PreviousUnits<'_>) -> String {
     let mut extents = before.extents();
     let new = match extent {
         _ if before.is_empty() => return "nothing was computed before".to_owned(),

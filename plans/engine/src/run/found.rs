@@ -7,8 +7,8 @@ use crate::map::damage::Damage;
 use crate::map::receipt::{Artifact, Receipt};
 use crate::map::sound::Sound;
 use crate::run::Run;
-use crate::run::held::Held;
 use crate::run::pending::Pending;
+use crate::run::previous_units::PreviousUnits;
 
 impl Run<'_> {
     /// The receipt of a unit whose recipe has this digest, with what is wrong with its rows, or with itself: one that leads to the
@@ -20,7 +20,7 @@ impl Run<'_> {
     /// As [`Sound::receipt`].
     pub async fn found(
         &self,
-        (sound, held): (&Sound<'_>, &Held<'_>),
+        (sound, held): (&Sound<'_>, &PreviousUnits<'_>),
         unit: &Pending,
         digest: &str,
     ) -> Result<Option<(Receipt, Option<Damage>)>, Fault> {
@@ -33,18 +33,23 @@ impl Run<'_> {
         })
     }
 
-    async fn misfit(&self, held: &Held<'_>, unit: &Pending, receipt: &Receipt) -> Option<Damage> {
-        let (artifact, place) = (&receipt.artifact, &unit.place);
+    async fn misfit(
+        &self,
+        held: &PreviousUnits<'_>,
+        unit: &Pending,
+        receipt: &Receipt,
+    ) -> Option<Damage> {
+        let (artifact, id) = (&receipt.artifact, &unit.id);
         let damage = |expected: String, found: String| Damage {
             file: Receipt::name(&receipt.digest),
             expected,
             found: Some(found),
         };
-        if artifact.extent != place.extent {
-            let [expected, found] = [&place.extent, &artifact.extent].map(|of| of.label("rows"));
+        if artifact.extent != id.extent {
+            let [expected, found] = [&id.extent, &artifact.extent].map(|of| of.label("rows"));
             return Some(damage(expected, found));
         }
-        if held.artifact(place, &receipt.digest) == Some(artifact) {
+        if held.artifact(id, &receipt.digest) == Some(artifact) {
             return None;
         }
         let layer = unit

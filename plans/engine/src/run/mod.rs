@@ -8,13 +8,13 @@ mod driver;
 mod execute;
 pub mod explain;
 mod found;
-mod held;
 mod mend;
 mod pending;
 mod previous;
+mod previous_units;
 pub mod record;
 pub mod runner;
-mod told;
+mod skip_reasons;
 
 use evermap_contract::Registry;
 

@@ -14,24 +14,24 @@ use crate::unit::Unit;
 
 /// Which unit of a program.
 #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord)]
-pub struct Place {
+pub struct UnitId {
     /// Its stage.
     pub stage: String,
     /// What it covers.
     pub extent: Extent,
 }
 
-impl Place {
+impl UnitId {
     /// The units of a stage on these sessions, sorted.
     fn all<'s>(
         stage: &Stage,
         sessions: impl IntoIterator<Item = &'s MappedSession>,
     ) -> BTreeSet<Self> {
-        let place = |session: &MappedSession| Self {
+        let id = |session: &MappedSession| Self {
             stage: stage.name.clone(),
             extent: Extent::of(stage.scope, &session.log),
         };
-        sessions.into_iter().map(place).collect()
+        sessions.into_iter().map(id).collect()
     }
 
     /// What a person calls it.
@@ -43,13 +43,13 @@ impl Place {
 /// A unit that cannot begin before others are done, as its recipe names the contents of what they make.
 pub struct Pending {
     /// Which unit it is.
-    pub place: Place,
+    pub id: UnitId,
     /// The stage and those that run inside it, in order.
     pub stages: Arc<[Stage]>,
     /// The units whose rows it reads.
-    pub before: BTreeSet<Place>,
+    pub before: BTreeSet<UnitId>,
     /// The same, by the table that they are read as.
-    tables: BTreeMap<Input, BTreeSet<Place>>,
+    tables: BTreeMap<Input, BTreeSet<UnitId>>,
     /// The sessions whose logs it reads.
     logs: BTreeSet<String>,
 }
@@ -65,11 +65,11 @@ impl Run<'_> {
         let stored = self.program.stages.iter().filter(|stage| stage.stored);
         let units = stored.flat_map(|stage| {
             let stages: Arc<[Stage]> = self.program.fragment(&stage.name).into();
-            let places = Place::all(stage, &self.sessions).into_iter();
-            places.map(move |place| (place, Arc::clone(&stages)))
+            let ids = UnitId::all(stage, &self.sessions).into_iter();
+            ids.map(move |id| (id, Arc::clone(&stages)))
         });
         units
-            .map(|(place, stages)| Pending::new(self, &sessions, &previous, place, stages))
+            .map(|(id, stages)| Pending::new(self, &sessions, &previous, id, stages))
             .collect()
     }
 }
@@ -113,35 +113,35 @@ impl Pending {
         run: &Run<'_>,
         sessions: &Sessions<'_>,
         previous: &Previous,
-        place: Place,
+        id: UnitId,
         stages: Arc<[Stage]>,
     ) -> Result<Self, Fault> {
-        let mut tables: BTreeMap<Input, BTreeSet<Place>> = BTreeMap::new();
+        let mut tables: BTreeMap<Input, BTreeSet<UnitId>> = BTreeMap::new();
         let mut logs = BTreeSet::new();
         for read in stages.iter().flat_map(|stage| &stage.reads) {
-            let reached = place.extent.reached(read.reach);
+            let reached = id.extent.reached(read.reach);
             let sessions = sessions.within(&reached).into_iter();
             if matches!(read.table, Input::Source(_)) || read.pixels.is_some() {
                 logs.extend(sessions.clone().map(|session| session.log.session.clone()));
             }
-            let places = match &read.table {
+            let ids = match &read.table {
                 Input::Step(name) => {
                     let made = run.program.stage(name)?;
                     if !made.stored {
                         continue;
                     }
-                    Place::all(made, sessions)
+                    UnitId::all(made, sessions)
                 }
                 Input::New(name) => {
                     let new = sessions.filter(|session| previous.is_new(&session.log.session));
-                    Place::all(run.program.stage(name)?, new)
+                    UnitId::all(run.program.stage(name)?, new)
                 }
                 Input::Source(_) | Input::Previous(_) => continue,
             };
-            tables.entry(read.table.clone()).or_default().extend(places);
+            tables.entry(read.table.clone()).or_default().extend(ids);
         }
         Ok(Self {
-            place,
+            id,
             stages,
             before: tables.values().flatten().cloned().collect(),
             tables,
@@ -159,14 +159,14 @@ impl Pending {
         run: &Run<'_>,
         previous: &Previous,
         before: Option<&Receipt>,
-        artifact: impl Fn(&Place) -> Result<Artifact, Fault>,
+        artifact: impl Fn(&UnitId) -> Result<Artifact, Fault>,
     ) -> Result<Unit, Fault> {
-        let extent = self.place.extent.clone();
+        let extent = self.id.extent.clone();
         let site = extent.site.as_ref();
         let layers = previous.concerning(run.program, &self.stages, site);
         let mut recipe = Recipe::new(Arc::clone(&self.stages), extent);
-        for (table, places) in &self.tables {
-            let artifacts = places.iter().map(&artifact).collect::<Result<_, _>>()?;
+        for (table, ids) in &self.tables {
+            let artifacts = ids.iter().map(&artifact).collect::<Result<_, _>>()?;
             if let Input::New(name) = table {
                 let op = run.program.stage(name)?.op().map(str::to_owned);
                 let artifacts = Artifact::with_rows(artifacts);
@@ -273,7 +273,7 @@ mod tests {
             base: None,
             limits: Limits::one_partition(),
         };
-        let no_rows = |place: &Place| Err(Fault::bug(place.label()));
+        let no_rows = |id: &UnitId| Err(Fault::bug(id.label()));
         let read: Vec<(String, Vec<String>)> = run
             .units()
             .unwrap()

@@ -14,7 +14,7 @@ use crate::map::receipt::Receipt;
 use crate::unit::Unit;
 
 /// A unit's number in its run, and what is told of it.
-pub type Told = (usize, Report);
+pub type UnitReport = (usize, Report);
 
 /// What is told of a unit.
 #[derive(Debug)]
@@ -31,7 +31,7 @@ pub type Unfinished = tokio::sync::mpsc::Sender<Infallible>;
 /// Runs units that are ready, in any order.
 pub trait Runner: Send + Sync {
     /// Runs these units; the stream ends when each has ended.
-    fn start(&self, units: Vec<(usize, Unit)>) -> BoxStream<'static, Told>;
+    fn start(&self, units: Vec<(usize, Unit)>) -> BoxStream<'static, UnitReport>;
 }
 
 /// Runs units in this process, a few at a time.
@@ -56,7 +56,7 @@ impl LocalRunner {
 }
 
 impl Runner for LocalRunner {
-    fn start(&self, units: Vec<(usize, Unit)>) -> BoxStream<'static, Told> {
+    fn start(&self, units: Vec<(usize, Unit)>) -> BoxStream<'static, UnitReport> {
         let (tell, told) = mpsc::unbounded();
         let run = |(index, unit): (usize, Unit)| {
             let registry = self.registry.clone();

@@ -27,8 +27,8 @@ use datafusion::sql::sqlparser::ast::{
 };
 
 use crate::sql::overflow::CheckedOperators;
+use crate::sql::statement_text::placed;
 use crate::sql::widths::check_width;
-use crate::sql::written::placed;
 
 /// Has a context refuse table functions whose arguments fail. Of its functions it takes those that stand in the place of
 /// others by now.

@@ -13,13 +13,13 @@ use datafusion::logical_expr::type_coercion::other::get_coerce_type_for_list;
 use datafusion::logical_expr::utils::merge_schema;
 use datafusion::logical_expr::{BinaryExpr, Expr, ExprSchemable, LogicalPlan, Operator};
 
-use crate::sql::written::Written;
+use crate::sql::statement_text::StatementText;
 
 /// Refuses a plan with a text that does not become what it should.
 ///
 /// # Errors
 /// What casting says, with the place of the text where it stands once.
-pub fn check_literals(plan: &LogicalPlan, written: &Written) -> Result<()> {
+pub fn check_literals(plan: &LogicalPlan, written: &StatementText) -> Result<()> {
     plan.apply_with_subqueries(|node| {
         let literals = Literals {
             node,
@@ -41,7 +41,7 @@ struct Literals<'p> {
     node: &'p LogicalPlan,
     /// The columns of its inputs, once they are asked for.
     schema: OnceCell<DFSchema>,
-    written: &'p Written,
+    written: &'p StatementText,
 }
 
 impl Literals<'_> {

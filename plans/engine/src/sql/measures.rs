@@ -18,36 +18,36 @@ pub use whole::OfAll;
 /// What is told of rows.
 pub trait Measure: Debug + Send + Sync + 'static {
     /// What is known of rows that follow each other.
-    type Part: Copy + Debug + Send + Sync + 'static;
+    type Aggregate: Copy + Debug + Send + Sync + 'static;
 
     /// What is known of each row: of one that does not count, as of a null, nothing is.
-    fn parts(&self, values: &[ArrayRef]) -> Vec<Option<Self::Part>>;
+    fn parts(&self, values: &[ArrayRef]) -> Vec<Option<Self::Aggregate>>;
 
     /// What is known of rows and of those behind them.
-    fn joined(&self, before: Self::Part, after: Self::Part) -> Self::Part;
+    fn joined(&self, before: Self::Aggregate, after: Self::Aggregate) -> Self::Aggregate;
 
     /// The answer; `None` stands for no rows.
-    fn answer(&self, all: Option<Self::Part>) -> Result<ScalarValue>;
+    fn answer(&self, all: Option<Self::Aggregate>) -> Result<ScalarValue>;
 }
 
 /// What is told of groups, too, of which each partition knows a part.
 pub trait Spread: Measure {
     /// The answers, in a column.
-    fn answers(&self, all: Vec<Option<Self::Part>>) -> ArrayRef;
+    fn answers(&self, all: Vec<Option<Self::Aggregate>>) -> ArrayRef;
 
     /// What is known, as columns.
-    fn columns(&self, parts: Vec<Option<Self::Part>>) -> Vec<ArrayRef>;
+    fn columns(&self, parts: Vec<Option<Self::Aggregate>>) -> Vec<ArrayRef>;
 
     /// What such columns say.
-    fn of_columns(&self, columns: &[ArrayRef]) -> Vec<Option<Self::Part>>;
+    fn of_columns(&self, columns: &[ArrayRef]) -> Vec<Option<Self::Aggregate>>;
 }
 
 /// What is known of rows and of those behind them, of which there may be none.
 pub fn both<M: Measure>(
     measure: &M,
-    before: Option<M::Part>,
-    after: Option<M::Part>,
-) -> Option<M::Part> {
+    before: Option<M::Aggregate>,
+    after: Option<M::Aggregate>,
+) -> Option<M::Aggregate> {
     match (before, after) {
         (Some(before), Some(after)) => Some(measure.joined(before, after)),
         (before, after) => before.or(after),

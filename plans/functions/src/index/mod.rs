@@ -161,7 +161,7 @@ impl ByIndex {
     }
 
     fn call(&self, expr: Expr, input: &LogicalPlan) -> Result<Transformed<Expr>> {
-        let Some(asked) = Asked::of(&expr) else {
+        let Some(asked) = IndexableCall::of(&expr) else {
             return Ok(Transformed::no(expr));
         };
         let (graph, classes) = asked.of_what();
@@ -202,15 +202,15 @@ impl ByIndex {
     }
 
     /// The query of the views for which a call is true, where an index answers it.
-    fn answer(&self, asked: Asked) -> Result<Option<LogicalPlan>> {
+    fn answer(&self, asked: IndexableCall) -> Result<Option<LogicalPlan>> {
         match asked {
-            Asked::Contains(_, class, least) => {
+            IndexableCall::Contains(_, class, least) => {
                 let leaves = self.leaves.as_ref();
                 leaves
                     .map(|leaves| showing(leaves, &class, least))
                     .transpose()
             }
-            Asked::Related(_, relating) => {
+            IndexableCall::Related(_, relating) => {
                 let index = self.relations.as_ref();
                 index
                     .map(|index| relations::plan(index, relating))
@@ -221,14 +221,14 @@ impl ByIndex {
 }
 
 /// A call on a column of graphs that an index can answer.
-enum Asked {
+enum IndexableCall {
     /// `contains(graph, 'class' [, count])` whose count is at least 1.
     Contains(Column, String, i64),
     /// `related(graph, 'class', 'relation', 'class')`.
     Related(Column, Relating),
 }
 
-impl Asked {
+impl IndexableCall {
     fn of(expr: &Expr) -> Option<Self> {
         let contains = contains(expr);
         let contains = contains.map(|(graph, class, least)| Self::Contains(graph, class, least));

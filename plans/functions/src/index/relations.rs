@@ -116,19 +116,19 @@ impl RelationIndex {
 }
 
 /// The views in which something is so, as a table of their names.
-struct Found {
+struct MatchingViews {
     index: Arc<RelationIndex>,
     asked: Relating,
     schema: SchemaRef,
 }
 
-impl std::fmt::Debug for Found {
+impl std::fmt::Debug for MatchingViews {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         write!(f, "relation_index {:?}", self.asked)
     }
 }
 
-impl PartitionStream for Found {
+impl PartitionStream for MatchingViews {
     fn schema(&self) -> &SchemaRef {
         &self.schema
     }
@@ -155,7 +155,7 @@ pub(super) fn plan(index: &Arc<RelationIndex>, asked: Relating) -> Result<Logica
     let name = format!("{} {class:?} {relation} {other:?}", RelatedViews::NAME);
     let fields = vec![Field::new("view", DataType::Utf8, false)];
     let schema = Arc::new(Schema::new(fields));
-    let found = Found {
+    let found = MatchingViews {
         index: Arc::clone(index),
         asked,
         schema: Arc::clone(&schema),

@@ -125,7 +125,7 @@ fn report(steps: &[WrittenStep], cycle: &[usize], faults: &mut PlanFaults) {
         "to read the version of the map before, write `previous.{}`",
         printable(&last.name.name)
     );
-    faults.error_with(first.name.place, message, hint);
+    faults.error_with(first.name.location, message, hint);
 }
 
 /// The steps that `targets` need, themselves included.

@@ -21,7 +21,7 @@ pub(super) fn step(
     ports(step, None, fields.get("in"), faults);
     if step.inputs.is_empty() {
         faults.error(
-            python.place,
+            python.location,
             "`python` needs `in`: the tables that it takes, by argument",
         );
     }
@@ -40,12 +40,12 @@ pub(super) fn step(
             "{} is both a table of `in` and a parameter of `with`",
             quoted(name)
         );
-        faults.error(python.place, message);
+        faults.error(python.location, message);
     }
     if grain == Some(Grain::Rows) && step.inputs.len() > 1 {
         let message =
             "`grain: rows` is for functions of one table; of several it is session, site or map";
-        faults.error(python.place, message);
+        faults.error(python.location, message);
     }
     let (Some((file, function, code)), Some(grain), Some(output)) = (file, grain, output) else {
         return;
@@ -74,7 +74,7 @@ fn file(
     faults: &mut PlanFaults,
 ) -> Option<(String, String, String)> {
     let text = python.value.text("`python`", faults)?;
-    let place = python.value.place;
+    let location = python.value.location;
     let Some((file, function)) = text
         .rsplit_once(':')
         .filter(|(file, name)| !file.is_empty() && !name.is_empty())
@@ -83,13 +83,13 @@ fn file(
             "expected a file and a function, such as `steps.py:speeds`, found {}",
             quoted(text)
         );
-        faults.error(place, message);
+        faults.error(location, message);
         return None;
     };
-    match host.code(file, faults.origin(place)) {
-        Ok(code) => Some((from_plan(file, place, faults), function.to_owned(), code)),
+    match host.code(file, faults.origin(location)) {
+        Ok(code) => Some((from_plan(file, location, faults), function.to_owned(), code)),
         Err(error) => {
-            faults.error(place, one_line(&error));
+            faults.error(location, one_line(&error));
             None
         }
     }
@@ -112,7 +112,7 @@ fn grain(fields: &Fields<'_>, faults: &mut PlanFaults) -> Option<Grain> {
             listed(names),
             quoted(name)
         );
-        faults.unknown(entry.value.place, message, name, names);
+        faults.unknown(entry.value.location, message, name, names);
     }
     known.map(|(_, grain)| *grain)
 }
@@ -129,7 +129,7 @@ fn pixels(
         };
         if !port_names(step).any(|port| port == entry.key) {
             let message = format!("`pixels` names {}, no table of `in`", quoted(&entry.key));
-            faults.unknown(entry.place, message, &entry.key, port_names(step));
+            faults.unknown(entry.location, message, &entry.key, port_names(step));
         }
         pixels.insert(entry.key.clone(), column.to_owned());
     }

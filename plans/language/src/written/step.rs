@@ -4,9 +4,11 @@ use std::collections::BTreeSet;
 
 use serde_json::{Map, Value};
 
-use super::{BODY_KEYS, Named, STEP_KEYS, StepContext, WrittenInput, WrittenStep, is_null, python};
-use crate::fault::{Place, PlanFaults};
-use crate::inside::Part;
+use super::{
+    BODY_KEYS, LocatedName, STEP_KEYS, StepContext, WrittenInput, WrittenStep, is_null, python,
+};
+use crate::fault::{Location, PlanFaults};
+use crate::inside::QueryPosition;
 use crate::plan::Body;
 use crate::suggest::{listed, one_line, quoted};
 use crate::vocabulary::{Host, OperatorSpec, ParameterFault};
@@ -18,13 +20,13 @@ pub(super) fn step(
     faults: &mut PlanFaults,
 ) -> WrittenStep {
     let mut step = WrittenStep {
-        name: Named {
+        name: LocatedName {
             name: entry.key.clone(),
-            place: entry.place,
+            location: entry.location,
         },
         inputs: Vec::new(),
         body: None,
-        body_place: entry.place,
+        body_location: entry.location,
         once: false,
         is_sound: true,
     };
@@ -38,7 +40,7 @@ pub(super) fn step(
     let bodies: Vec<&Entry> = BODY_KEYS.iter().filter_map(|key| fields.get(key)).collect();
     match bodies.as_slice() {
         [body] => {
-            step.body_place = body.value.place;
+            step.body_location = body.value.location;
             refuse_others(&fields, &body.key, faults);
             match body.key.as_str() {
                 "op" => operator(&mut step, body, &fields, context, faults),
@@ -48,13 +50,13 @@ pub(super) fn step(
         }
         [] => {
             let message = format!("{what} has none of {}", listed(BODY_KEYS));
-            faults.error(entry.place, message);
+            faults.error(entry.location, message);
             ports(&mut step, None, fields.get("in"), faults);
         }
         [first, second, ..] => {
-            let (first, second, place) = (&first.key, &second.key, second.place);
+            let (first, second, location) = (&first.key, &second.key, second.location);
             let message = format!("{what} has both `{first}` and `{second}`; it is one of them");
-            faults.error(place, message);
+            faults.error(location, message);
             ports(&mut step, None, fields.get("in"), faults);
         }
     }
@@ -77,12 +79,12 @@ fn refuse_others(fields: &Fields<'_>, body: &str, faults: &mut PlanFaults) {
     };
     for entry in keys.iter().filter_map(|key| fields.get(key)) {
         let (key, owner) = (&entry.key, owner(&entry.key));
-        faults.error(entry.place, format!("`{key}` belongs to {owner}; {why}"));
+        faults.error(entry.location, format!("`{key}` belongs to {owner}; {why}"));
     }
 }
 
 impl WrittenStep {
-    pub(super) fn reads(&mut self, port: Option<&str>, table: Named, is_implied: bool) {
+    pub(super) fn reads(&mut self, port: Option<&str>, table: LocatedName, is_implied: bool) {
         self.inputs.push(WrittenInput {
             port: port.map(str::to_owned),
             table,
@@ -104,7 +106,7 @@ fn operator(
     if let (Some(name), None) = (name, spec) {
         let message = format!("unknown operator {}", quoted(name));
         let known = vocabulary.operator_names();
-        faults.unknown(op.value.place, message, name, known);
+        faults.unknown(op.value.location, message, name, known);
     }
     ports(step, spec.map(|spec| (spec, op)), fields.get("in"), faults);
     let Some(spec) = spec else {
@@ -138,8 +140,8 @@ pub(super) fn ports(
         let what = format!("port {}", quoted(&entry.key));
         if let Some(name) = entry.value.text(&what, faults) {
             let name = name.to_owned();
-            let place = entry.value.place;
-            step.reads(Some(&entry.key), Named { name, place }, false);
+            let location = entry.value.location;
+            step.reads(Some(&entry.key), LocatedName { name, location }, false);
         }
     }
     let Some((spec, op)) = spec else {
@@ -151,8 +153,8 @@ pub(super) fn ports(
     for port in spec.ports.iter().filter(|port| !port.optional) {
         if named.clone().all(|entry| entry.key != port.name) {
             let name = port.name.clone();
-            let place = given.map_or(op.value.place, |entry| entry.value.place);
-            step.reads(Some(&port.name), Named { name, place }, true);
+            let location = given.map_or(op.value.location, |entry| entry.value.location);
+            step.reads(Some(&port.name), LocatedName { name, location }, true);
         }
     }
 }
@@ -162,7 +164,7 @@ fn unknown_port(spec: &OperatorSpec, entry: &Entry, faults: &mut PlanFaults) {
     let (port, operator) = (quoted(&entry.key), quoted(&spec.name));
     let ports = listed(known.clone());
     let message = format!("{operator} has no port {port}; its ports are {ports}");
-    faults.unknown(entry.place, message, &entry.key, known);
+    faults.unknown(entry.location, message, &entry.key, known);
 }
 
 /// The parameters that `with` gives, and those of the plan's defaults that the operator has.
@@ -188,7 +190,7 @@ fn parameters(
     let params = values(spec, &entries, context.around.host, faults);
     for fault in context.around.host.parameter_faults(&spec.name, &params) {
         match entries.iter().find(|entry| entry.key == fault.parameter) {
-            None => faults.error(with.unwrap_or(op).value.place, fault.message),
+            None => faults.error(with.unwrap_or(op).value.location, fault.message),
             Some(entry) => misfit(spec, entry, fault, faults),
         }
     }
@@ -235,17 +237,17 @@ fn read(named: &Entry, files: &mut Map<String, Value>, host: &dyn Host, faults: 
     let Kind::Text(path) = &named.value.kind else {
         return;
     };
-    let place = named.value.place;
-    let named_by = match place {
-        Place::Text(_) => faults.origin(place),
-        Place::Setting(_) => "",
+    let location = named.value.location;
+    let named_by = match location {
+        Location::Text(_) => faults.origin(location),
+        Location::Setting(_) => "",
     };
     match host.file(path, named_by) {
         Ok(file) => drop(files.insert(named.key.clone(), file)),
         Err(found) => {
             files.remove(&named.key);
             let message = format!("expected a file for {}, found {found}", quoted(&named.key));
-            faults.error(place, one_line(&message));
+            faults.error(location, one_line(&message));
         }
     }
 }
@@ -261,9 +263,9 @@ fn misfit(spec: &OperatorSpec, entry: &Entry, fault: ParameterFault, faults: &mu
     match spec.parameter_names().any(|known| known == entry.key) {
         true => {
             let within = entry.value.get(&within).map(|within| &within.value);
-            faults.error(within.unwrap_or(&entry.value).place, message);
+            faults.error(within.unwrap_or(&entry.value).location, message);
         }
-        false => faults.unknown(entry.place, message, &entry.key, spec.parameter_names()),
+        false => faults.unknown(entry.location, message, &entry.key, spec.parameter_names()),
     }
 }
 
@@ -288,7 +290,7 @@ fn query(step: &mut WrittenStep, sql: &Entry, context: &StepContext<'_>, faults:
         return;
     };
     if query.trim().is_empty() {
-        faults.error(sql.value.place, "`sql` is empty");
+        faults.error(sql.value.location, "`sql` is empty");
         return;
     }
     match context.around.host.tables(query) {
@@ -296,8 +298,8 @@ fn query(step: &mut WrittenStep, sql: &Entry, context: &StepContext<'_>, faults:
             let mut seen = BTreeSet::new();
             for name in tables {
                 if seen.insert(name.clone()) {
-                    let place = sql.value.place;
-                    step.reads(None, Named { name, place }, false);
+                    let location = sql.value.location;
+                    step.reads(None, LocatedName { name, location }, false);
                 }
             }
             step.body = Some(Body::Sql {
@@ -306,8 +308,9 @@ fn query(step: &mut WrittenStep, sql: &Entry, context: &StepContext<'_>, faults:
         }
         Err(fault) => {
             let (line, column) = fault.at.unwrap_or((1, 1));
-            let place = faults.inside(sql.value.place, query, Part::At(line, column));
-            faults.error(place, one_line(&fault.message));
+            let location =
+                faults.inside(sql.value.location, query, QueryPosition::At(line, column));
+            faults.error(location, one_line(&fault.message));
         }
     }
 }

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeSet;
 
-use super::{Named, TEST_KEYS, WrittenTest, tolerance};
+use super::{LocatedName, TEST_KEYS, WrittenTest, tolerance};
 use crate::fault::PlanFaults;
 use crate::plan::Row;
 use crate::suggest::quoted;
@@ -20,7 +20,7 @@ pub(super) fn tests(node: &Node, faults: &mut PlanFaults) -> Vec<WrittenTest> {
         };
         if !names.insert(test.name.name.clone()) {
             let name = quoted(&test.name.name);
-            faults.error(test.name.place, format!("two tests are named {name}"));
+            faults.error(test.name.location, format!("two tests are named {name}"));
         }
         tests.push(test);
     }
@@ -32,8 +32,8 @@ fn test(node: &Node, faults: &mut PlanFaults) -> Option<WrittenTest> {
     let name = fields.require("name", "the test", faults);
     let name = name.and_then(|entry| {
         let name = entry.value.text("the name of a test", faults)?;
-        let (name, place) = (name.to_owned(), entry.value.place);
-        Some(Named { name, place })
+        let (name, location) = (name.to_owned(), entry.value.location);
+        Some(LocatedName { name, location })
     });
     let given = fields.get("given");
     let given = given.map_or_else(Vec::new, |entry| tables("`given`", &entry.value, faults));
@@ -42,7 +42,7 @@ fn test(node: &Node, faults: &mut PlanFaults) -> Option<WrittenTest> {
         let what = format!("`{key}`");
         if matches!(&entry.value.kind, Kind::Mapping(entries) if entries.is_empty()) {
             faults.error(
-                entry.value.place,
+                entry.value.location,
                 format!("{what} must have at least one table"),
             );
         }
@@ -55,9 +55,9 @@ fn test(node: &Node, faults: &mut PlanFaults) -> Option<WrittenTest> {
     let (expect, contains) = (expect.unwrap_or_default(), contains.unwrap_or_default());
     let tolerance = tolerance(&fields, faults);
     // Without a name the tables are still checked; the missing name is already a fault.
-    let name = name.unwrap_or(Named {
-        name: format!("test at line {}", node.place.position().line),
-        place: node.place,
+    let name = name.unwrap_or(LocatedName {
+        name: format!("test at line {}", node.location.position().line),
+        location: node.location,
     });
     Some(WrittenTest {
         name,
@@ -68,7 +68,7 @@ fn test(node: &Node, faults: &mut PlanFaults) -> Option<WrittenTest> {
     })
 }
 
-fn tables(what: &str, node: &Node, faults: &mut PlanFaults) -> Vec<(Named, Vec<Row>)> {
+fn tables(what: &str, node: &Node, faults: &mut PlanFaults) -> Vec<(LocatedName, Vec<Row>)> {
     let Some(entries) = node.mapping(what, faults) else {
         return Vec::new();
     };
@@ -76,8 +76,8 @@ fn tables(what: &str, node: &Node, faults: &mut PlanFaults) -> Vec<(Named, Vec<R
         .iter()
         .map(|entry| {
             let name = entry.key.clone();
-            let place = entry.place;
-            (Named { name, place }, rows(entry, faults))
+            let location = entry.location;
+            (LocatedName { name, location }, rows(entry, faults))
         })
         .collect()
 }

@@ -3,7 +3,7 @@
 use serde_json::{Map, Number, Value};
 
 use super::{Entry, Kind, Node};
-use crate::fault::{Place, PlanFaults};
+use crate::fault::{Location, PlanFaults};
 use crate::suggest::{listed, quoted};
 
 impl Node {
@@ -25,9 +25,9 @@ impl Node {
         let message = format!("{what} must be {expected}, found {}", self.described());
         let scalar = matches!(self.kind, Kind::Bool(_) | Kind::Integer(_) | Kind::Float(_));
         if scalar && expected == "text" {
-            faults.error_with(self.place, message, "quote it");
+            faults.error_with(self.location, message, "quote it");
         } else {
-            faults.error(self.place, message);
+            faults.error(self.location, message);
         }
         None
     }
@@ -115,7 +115,7 @@ impl Node {
                 None => {
                     let found = self.described();
                     faults.error(
-                        self.place,
+                        self.location,
                         format!("expected a finite number, found {found}"),
                     );
                     Value::Null
@@ -149,7 +149,7 @@ pub(crate) fn merge(entries: &mut Vec<Entry>, changes: Vec<Entry>) {
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Fields<'n> {
     entries: &'n [Entry],
-    place: Place,
+    location: Location,
 }
 
 impl<'n> Fields<'n> {
@@ -169,15 +169,15 @@ impl<'n> Fields<'n> {
                 let message = format!("unknown key {key} in {what}; its keys are {keys}");
                 if entry.key.contains(char::is_whitespace) {
                     let next = "between braces, quote a text that has a comma or a colon";
-                    faults.error_with(entry.place, message, next);
+                    faults.error_with(entry.location, message, next);
                     continue;
                 }
-                faults.unknown(entry.place, message, &entry.key, known.iter().copied());
+                faults.unknown(entry.location, message, &entry.key, known.iter().copied());
             }
         }
         Some(Self {
             entries,
-            place: node.place,
+            location: node.location,
         })
     }
 
@@ -196,7 +196,7 @@ impl<'n> Fields<'n> {
     ) -> Option<&'n Entry> {
         let entry = self.get(key);
         if entry.is_none() {
-            faults.error(self.place, format!("{what} lacks {}", quoted(key)));
+            faults.error(self.location, format!("{what} lacks {}", quoted(key)));
         }
         entry
     }
@@ -234,7 +234,7 @@ mod tests {
     }
 
     fn position(node: &Node) -> (usize, usize) {
-        let position = node.place.position();
+        let position = node.location.position();
         (position.line, position.column)
     }
 
@@ -243,7 +243,7 @@ mod tests {
         let root = tree("a: 1\nbé: { ü: [x, 'y'] }\nc:\n  - d\n  - e: |\n      f\n");
         assert_eq!(position(&root), (1, 1));
         let entries = root.mapping("", &mut PlanFaults::default()).unwrap();
-        assert_eq!(entries[1].place.position().line, 2);
+        assert_eq!(entries[1].location.position().line, 2);
         let Kind::Mapping(inner) = &entries[1].value.kind else {
             panic!("{:?}", entries[1])
         };

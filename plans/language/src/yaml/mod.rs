@@ -15,7 +15,7 @@ pub(crate) use decode::{Fields, json_object, merge};
 pub(crate) use scalar::plain;
 pub(crate) use tree::{read, read_from};
 
-use crate::fault::Place;
+use crate::fault::Location;
 
 /// Texts longer than this many bytes are refused.
 pub(crate) const LONGEST_TEXT: usize = 4 << 20;
@@ -28,7 +28,7 @@ pub(crate) const MOST_NODES: usize = 500_000;
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Node {
     /// Where its first character is.
-    pub place: Place,
+    pub location: Location,
     /// The value.
     pub kind: Kind,
 }
@@ -58,7 +58,7 @@ pub(crate) struct Entry {
     /// The key as written, without quotes.
     pub key: String,
     /// Where the key is.
-    pub place: Place,
+    pub location: Location,
     /// The value.
     pub value: Node,
 }
@@ -66,6 +66,6 @@ pub(crate) struct Entry {
 impl Entry {
     /// Whether it is written in the plan itself, not in one that it extends.
     pub(crate) fn is_own(&self) -> bool {
-        self.place.position().source == 0
+        self.location.position().source == 0
     }
 }

@@ -3,7 +3,7 @@
 use saphyr_parser::Tag;
 
 use super::Kind;
-use crate::fault::{Place, PlanFaults};
+use crate::fault::{Location, PlanFaults};
 use crate::suggest::quoted;
 
 /// The value of a plain (unquoted, untagged) scalar.
@@ -25,7 +25,7 @@ pub(crate) fn plain(text: &str) -> Kind {
 }
 
 /// The value of a scalar with an explicit tag.
-pub(super) fn tagged(text: &str, tag: &Tag, place: Place, faults: &mut PlanFaults) -> Kind {
+pub(super) fn tagged(text: &str, tag: &Tag, location: Location, faults: &mut PlanFaults) -> Kind {
     let as_text = || Kind::Text(text.to_owned());
     if tag.handle == "!" && tag.suffix.is_empty() || tag.handle.is_empty() && tag.suffix == "!" {
         return as_text();
@@ -39,9 +39,9 @@ pub(super) fn tagged(text: &str, tag: &Tag, place: Place, faults: &mut PlanFault
         | ("float", Some(kind @ Kind::Float(_))) => return kind,
         ("float", Some(Kind::Integer(value))) => return Kind::Float(value as f64),
         (suffix @ ("null" | "bool" | "int" | "float"), Some(_)) => {
-            faults.error(place, format!("{} is not of `!!{suffix}`", quoted(text)));
+            faults.error(location, format!("{} is not of `!!{suffix}`", quoted(text)));
         }
-        _ => faults.error(place, unsupported(tag)),
+        _ => faults.error(location, unsupported(tag)),
     }
     as_text()
 }

@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use saphyr_parser::{Event, Marker, Parser, ScalarStyle, ScanError, Span, Tag};
 
 use super::{DEEPEST, Entry, Kind, LONGEST_TEXT, MOST_NODES, Node, scalar};
-use crate::fault::{Place, PlanFaults, Position, Source};
+use crate::fault::{Location, PlanFaults, Position, Source};
 use crate::suggest::quoted;
 
 /// Reads the one YAML document in a text, which faults can point to from now on. `None` means it
@@ -15,12 +15,12 @@ use crate::suggest::quoted;
 /// recorded. After a syntax fault there is no tree: what follows it would be guesswork.
 pub(crate) fn read(source: &Source, faults: &mut PlanFaults) -> Option<Node> {
     let number = faults.open(source.clone());
-    let start = Place::Text(Position::start_of(number));
+    let start = Location::Text(Position::start_of(number));
     read_from(start, &source.text, faults)
 }
 
-/// Reads a text that starts at a place. All of a text in a setting is at the setting.
-pub(crate) fn read_from(start: Place, text: &str, faults: &mut PlanFaults) -> Option<Node> {
+/// Reads a text that starts at a location. All of a text in a setting is at the setting.
+pub(crate) fn read_from(start: Location, text: &str, faults: &mut PlanFaults) -> Option<Node> {
     if text.len() > LONGEST_TEXT {
         let (length, most) = (text.len(), LONGEST_TEXT);
         faults.error(
@@ -73,7 +73,7 @@ enum Content {
     Sequence(Vec<Node>),
     Mapping {
         entries: Vec<Entry>,
-        first: BTreeMap<String, Place>,
+        first: BTreeMap<String, Location>,
         pending: Pending,
     },
 }
@@ -81,14 +81,14 @@ enum Content {
 /// Where a mapping stands.
 enum Pending {
     Key,
-    Value(String, Place),
+    Value(String, Location),
     /// The value of a key that is at fault.
     Discard,
 }
 
 /// A collection that is still open.
-struct Open {
-    place: Place,
+struct OpenCollection {
+    location: Location,
     anchor: usize,
     content: Content,
     size: usize,
@@ -96,9 +96,9 @@ struct Open {
 }
 
 struct Builder<'f> {
-    start: Place,
+    start: Location,
     faults: &'f mut PlanFaults,
-    open: Vec<Open>,
+    open: Vec<OpenCollection>,
     anchors: BTreeMap<usize, Finished>,
     nodes: usize,
     documents: usize,
@@ -106,7 +106,7 @@ struct Builder<'f> {
 }
 
 impl<'f> Builder<'f> {
-    fn new(start: Place, faults: &'f mut PlanFaults) -> Self {
+    fn new(start: Location, faults: &'f mut PlanFaults) -> Self {
         Self {
             start,
             faults,
@@ -118,38 +118,38 @@ impl<'f> Builder<'f> {
         }
     }
 
-    fn place(&self, marker: Marker) -> Place {
+    fn location(&self, marker: Marker) -> Location {
         match self.start {
-            Place::Text(start) => Place::Text(Position {
+            Location::Text(start) => Location::Text(Position {
                 source: start.source,
                 line: marker.line().max(1),
                 column: marker.col() + 1,
             }),
-            setting @ Place::Setting(_) => setting,
+            setting @ Location::Setting(_) => setting,
         }
     }
 
     fn event(&mut self, event: Event<'_>, span: Span) -> Result<(), Stop> {
-        let place = self.place(span.start);
+        let location = self.location(span.start);
         match event {
-            Event::DocumentStart(_) => self.document(place),
+            Event::DocumentStart(_) => self.document(location),
             Event::SequenceStart(anchor, tag) => {
-                self.check_tag(tag.as_deref(), "seq", place);
-                self.start(place, anchor, Content::Sequence(Vec::new()))
+                self.check_tag(tag.as_deref(), "seq", location);
+                self.start(location, anchor, Content::Sequence(Vec::new()))
             }
             Event::MappingStart(anchor, tag) => {
-                self.check_tag(tag.as_deref(), "map", place);
+                self.check_tag(tag.as_deref(), "map", location);
                 let content = Content::Mapping {
                     entries: Vec::new(),
                     first: BTreeMap::new(),
                     pending: Pending::Key,
                 };
-                self.start(place, anchor, content)
+                self.start(location, anchor, content)
             }
             Event::SequenceEnd | Event::MappingEnd => self.end(),
             Event::Scalar(text, style, anchor, tag) => {
                 let kind = match tag {
-                    Some(tag) => scalar::tagged(&text, &tag, place, self.faults),
+                    Some(tag) => scalar::tagged(&text, &tag, location, self.faults),
                     None if style == ScalarStyle::Plain => {
                         // A key such as `007` is kept as written and cannot be at fault.
                         if self.wants_key() {
@@ -163,32 +163,32 @@ impl<'f> Builder<'f> {
                 self.finish(
                     anchor,
                     Finished {
-                        node: Node { place, kind },
+                        node: Node { location, kind },
                         written: Some(text.into_owned()),
                         size: 1,
                         height: 0,
                     },
                 )
             }
-            Event::Alias(anchor) => self.alias(anchor, place),
+            Event::Alias(anchor) => self.alias(anchor, location),
             Event::Nothing | Event::StreamStart | Event::StreamEnd | Event::DocumentEnd => Ok(()),
         }
     }
 
     fn syntax(&mut self, error: &ScanError) {
-        let place = self.place(*error.marker());
+        let location = self.location(*error.marker());
         let message = match error.info() {
             // The scanner looks ahead and has a limit of its own, above ours.
             "recursion limit exceeded" => too_deep(),
             info => format!("not YAML: {info}"),
         };
-        self.faults.error(place, message);
+        self.faults.error(location, message);
     }
 
     fn wants_key(&self) -> bool {
         matches!(
             self.open.last(),
-            Some(Open {
+            Some(OpenCollection {
                 content: Content::Mapping {
                     pending: Pending::Key,
                     ..
@@ -198,40 +198,40 @@ impl<'f> Builder<'f> {
         )
     }
 
-    fn document(&mut self, place: Place) -> Result<(), Stop> {
+    fn document(&mut self, location: Location) -> Result<(), Stop> {
         self.documents += 1;
         if self.documents > 1 {
             self.faults
-                .error(place, "a second document starts here; only one is read");
+                .error(location, "a second document starts here; only one is read");
             return Err(Stop);
         }
         Ok(())
     }
 
-    fn check_tag(&mut self, tag: Option<&Tag>, expected: &str, place: Place) {
+    fn check_tag(&mut self, tag: Option<&Tag>, expected: &str, location: Location) {
         if let Some(tag) = tag
             && !(tag.is_yaml_core_schema() && tag.suffix == expected)
         {
-            self.faults.error(place, scalar::unsupported(tag));
+            self.faults.error(location, scalar::unsupported(tag));
         }
     }
 
-    fn start(&mut self, place: Place, anchor: usize, content: Content) -> Result<(), Stop> {
-        self.open.push(Open {
-            place,
+    fn start(&mut self, location: Location, anchor: usize, content: Content) -> Result<(), Stop> {
+        self.open.push(OpenCollection {
+            location,
             anchor,
             content,
             size: 1,
             height: 1,
         });
-        self.check_depth(0, place)
+        self.check_depth(0, location)
     }
 
-    fn check_depth(&mut self, more: usize, place: Place) -> Result<(), Stop> {
+    fn check_depth(&mut self, more: usize, location: Location) -> Result<(), Stop> {
         if self.open.len() + more <= DEEPEST {
             return Ok(());
         }
-        self.faults.error(place, too_deep());
+        self.faults.error(location, too_deep());
         Err(Stop)
     }
 
@@ -246,7 +246,7 @@ impl<'f> Builder<'f> {
         // The nodes within were counted when they finished.
         self.nodes = self.nodes.saturating_sub(open.size - 1);
         let node = Node {
-            place: open.place,
+            location: open.location,
             kind,
         };
         self.finish(
@@ -260,34 +260,34 @@ impl<'f> Builder<'f> {
         )
     }
 
-    fn alias(&mut self, anchor: usize, place: Place) -> Result<(), Stop> {
+    fn alias(&mut self, anchor: usize, location: Location) -> Result<(), Stop> {
         let Some(target) = self.anchors.get(&anchor) else {
             self.faults
-                .error(place, "this alias stands inside the value it refers to");
+                .error(location, "this alias stands inside the value it refers to");
             return Err(Stop);
         };
         // Checked before the copy is made: aliases of aliases grow exponentially.
         let (size, height) = (target.size, target.height);
-        self.check_depth(height, place)?;
-        self.check_nodes(size, place)?;
+        self.check_depth(height, location)?;
+        self.check_nodes(size, location)?;
         if let Some(target) = self.anchors.get(&anchor).cloned() {
             return self.finish(0, target);
         }
         Ok(())
     }
 
-    fn check_nodes(&mut self, more: usize, place: Place) -> Result<(), Stop> {
+    fn check_nodes(&mut self, more: usize, location: Location) -> Result<(), Stop> {
         if self.nodes + more <= MOST_NODES {
             return Ok(());
         }
         self.faults
-            .error(place, format!("more than {MOST_NODES} values"));
+            .error(location, format!("more than {MOST_NODES} values"));
         Err(Stop)
     }
 
     /// Hands a finished node to the collection it is in.
     fn finish(&mut self, anchor: usize, finished: Finished) -> Result<(), Stop> {
-        self.check_nodes(finished.size, finished.node.place)?;
+        self.check_nodes(finished.size, finished.node.location)?;
         self.nodes += finished.size;
         if anchor > 0 {
             self.anchors.insert(anchor, finished.clone());
@@ -306,9 +306,9 @@ impl<'f> Builder<'f> {
                 pending,
             } => match std::mem::replace(pending, Pending::Key) {
                 Pending::Key => *pending = key(finished, first, self.faults),
-                Pending::Value(key, place) => entries.push(Entry {
+                Pending::Value(key, location) => entries.push(Entry {
                     key,
-                    place,
+                    location,
                     value: finished.node,
                 }),
                 Pending::Discard => {}
@@ -321,17 +321,17 @@ impl<'f> Builder<'f> {
 /// Takes a finished node as the next key of a mapping.
 fn key(
     finished: Finished,
-    first: &mut BTreeMap<String, Place>,
+    first: &mut BTreeMap<String, Location>,
     faults: &mut PlanFaults,
 ) -> Pending {
-    let place = finished.node.place;
+    let location = finished.node.location;
     let Some(key) = finished.written else {
-        faults.error(place, "a key must be a single word or quoted text");
+        faults.error(location, "a key must be a single word or quoted text");
         return Pending::Discard;
     };
     if key == "<<" {
         faults.error_with(
-            place,
+            location,
             "merge keys (`<<`) are not part of YAML 1.2",
             "write the keys out",
         );
@@ -340,11 +340,11 @@ fn key(
     if let Some(earlier) = first.get(&key) {
         let line = earlier.position().line;
         faults.error(
-            place,
+            location,
             format!("{} is given twice, first on line {line}", quoted(&key)),
         );
         return Pending::Discard;
     }
-    first.insert(key.clone(), place);
-    Pending::Value(key, place)
+    first.insert(key.clone(), location);
+    Pending::Value(key, location)
 }

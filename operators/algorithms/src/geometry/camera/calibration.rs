@@ -224,7 +224,7 @@ impl Camera {
         if width == 0 || height == 0 {
             return Err(CameraError::Size { width, height });
         }
-        let given = Given {
+        let given = GivenIntrinsics {
             model: model_name,
             k,
             d,
@@ -256,7 +256,7 @@ impl Camera {
 }
 
 /// The numbers as given, with the name for error messages.
-struct Given<'a> {
+struct GivenIntrinsics<'a> {
     model: &'a str,
     k: &'a [f64],
     d: &'a [f64],
@@ -270,7 +270,7 @@ struct Intrinsics {
     centre: [f64; 2],
 }
 
-impl Given<'_> {
+impl GivenIntrinsics<'_> {
     fn count(&self, what: &'static str, expected: &'static str, found: usize) -> CameraError {
         CameraError::Count {
             model: self.model.to_owned(),

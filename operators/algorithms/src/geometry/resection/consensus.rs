@@ -3,7 +3,7 @@
 use super::ResectionOptions;
 use super::minimal;
 use super::refinement::adjust;
-use super::sight::{Frame, Sight};
+use super::sight::{RigidMatrix, Sight};
 use crate::geometry::pose::Pose;
 use crate::solving::random::SplitMix64;
 
@@ -49,7 +49,7 @@ pub(super) fn search(sights: &[Sight], options: &ResectionOptions) -> Option<Con
 
 /// None as soon as it is not below the limit.
 fn cost(sights: &[Sight], pose: &Pose, gate: f64, limit: f64) -> Option<f64> {
-    let frame = Frame::from(&pose.inverse());
+    let frame = RigidMatrix::from(&pose.inverse());
     let mut sum = 0.0;
     for sight in sights {
         sum += sight.miss(&frame, gate).map_or(gate, |miss| miss.squared());
@@ -62,7 +62,7 @@ fn cost(sights: &[Sight], pose: &Pose, gate: f64, limit: f64) -> Option<f64> {
 
 /// Those that the pose explains.
 pub(super) fn inliers<'a>(sights: &'a [Sight], pose: &Pose, gate: f64) -> Vec<&'a Sight> {
-    let frame = Frame::from(&pose.inverse());
+    let frame = RigidMatrix::from(&pose.inverse());
     let agrees = |sight: &&Sight| sight.miss(&frame, gate).is_some();
     sights.iter().filter(agrees).collect()
 }

@@ -2,7 +2,7 @@
 
 use nalgebra::{Matrix6, UnitQuaternion, Vector6};
 
-use super::sight::{Frame, Sight};
+use super::sight::{RigidMatrix, Sight};
 use crate::geometry::pose::Pose;
 
 /// Cauchy's loss with 95 % efficiency on normal errors (Holland, Welsch 1977).
@@ -76,7 +76,7 @@ pub(crate) fn moved(pose: &Pose, step: &Vector6<f64>) -> Pose {
 }
 
 fn normal(sights: &[&Sight], pose: &Pose, gate: f64) -> Normal {
-    let frame = Frame::from(&pose.inverse());
+    let frame = RigidMatrix::from(&pose.inverse());
     let mut sum = Normal {
         information: Matrix6::zeros(),
         gradient: Vector6::zeros(),
@@ -132,9 +132,9 @@ mod tests {
             };
             let sight = Sight::new(&[mount], 0, &given).unwrap();
             let error = |pose: &Pose| {
-                sight.miss(&Frame::from(&pose.inverse()), f64::INFINITY).unwrap()
+                sight.miss(&RigidMatrix::from(&pose.inverse()), f64::INFINITY).unwrap()
             };
-            let slopes = sight.slopes(&error(&pose), &Frame::from(&pose.inverse()), &pose);
+            let slopes = sight.slopes(&error(&pose), &RigidMatrix::from(&pose.inverse()), &pose);
             for i in 0..6 {
                 let step = Vector6::ith(i, 1e-6);
                 let ahead = error(&moved(&pose, &step)).error;

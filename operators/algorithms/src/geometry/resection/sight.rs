@@ -88,7 +88,7 @@ impl Sight {
 
     /// From a pose `vehicle_from_world`, given as matrix and translation. None for a point behind the ray's half
     /// space, and for one that misses by more than `gate` standard deviations squared.
-    pub(super) fn miss(&self, vehicle_from_world: &Frame, gate: f64) -> Option<Miss> {
+    pub(super) fn miss(&self, vehicle_from_world: &RigidMatrix, gate: f64) -> Option<Miss> {
         let seen = vehicle_from_world.rotation * self.ray.point + vehicle_from_world.translation
             - self.ray.origin;
         let range = seen.norm();
@@ -118,7 +118,7 @@ impl Sight {
     pub(super) fn slopes(
         &self,
         miss: &Miss,
-        vehicle_from_world: &Frame,
+        vehicle_from_world: &RigidMatrix,
         world_from_vehicle: &Pose,
     ) -> Matrix2x6<f64> {
         let towards = miss.seen / miss.range;
@@ -135,12 +135,12 @@ impl Sight {
 }
 
 /// A pose as a matrix and a translation: quicker for many points.
-pub(super) struct Frame {
+pub(super) struct RigidMatrix {
     pub(super) rotation: Matrix3<f64>,
     pub(super) translation: Vector3<f64>,
 }
 
-impl From<&Pose> for Frame {
+impl From<&Pose> for RigidMatrix {
     fn from(pose: &Pose) -> Self {
         Self {
             rotation: pose.rotation.to_rotation_matrix().into_inner(),

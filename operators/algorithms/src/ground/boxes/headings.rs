@@ -179,7 +179,7 @@ fn away_m(piece: &GroundBox, place: &GroundBox) -> f64 {
 
 #[cfg(test)]
 mod tests {
-    use super::super::teaching::Said;
+    use super::super::teaching::Judgement;
     use super::*;
 
     fn space(x: f64, y: f64, degrees: f64) -> GroundBox {
@@ -191,8 +191,8 @@ mod tests {
         }
     }
 
-    fn said(place: GroundBox, said: Said) -> Example {
-        Example { place, said }
+    fn said(place: GroundBox, judgement: Judgement) -> Example {
+        Example { place, judgement }
     }
 
     /// One eastwards, driven to and fro, and one to the north-east that leaves it.
@@ -207,7 +207,7 @@ mod tests {
 
     #[test]
     fn boxes_lie_to_every_lane_as_those_that_were_drawn_do() {
-        let drawn = [said(space(5.0, 5.0, 90.0), Said::Drawn)];
+        let drawn = [said(space(5.0, 5.0, 90.0), Judgement::Drawn)];
         let headings = Headings::learn(&drawn, &lanes());
         let allowed = |x: f64, y: f64| {
             let degrees = (0..24).map(|at| 7.5 * f64::from(at));
@@ -230,8 +230,8 @@ mod tests {
     #[test]
     fn slanted_boxes_are_slanted_to_both_sides_and_others_lie_along() {
         let drawn = [
-            said(space(5.0, 5.0, 60.0), Said::Drawn),
-            said(space(40.0, 3.0, 180.0), Said::Accepted),
+            said(space(5.0, 5.0, 60.0), Judgement::Drawn),
+            said(space(40.0, 3.0, 180.0), Judgement::Accepted),
         ];
         let headings = Headings::learn(&drawn, &lanes());
         for degrees in [0.0, 60.0, 120.0, 180.0] {
@@ -244,9 +244,9 @@ mod tests {
 
     #[test]
     fn without_lanes_or_boxes_beside_them_boxes_lie_anyhow() {
-        let near = [said(space(5.0, 5.0, 90.0), Said::Drawn)];
-        let far = [said(space(5.0, 50.0, 90.0), Said::Drawn)];
-        let none = [said(space(5.0, 5.0, 90.0), Said::Rejected)];
+        let near = [said(space(5.0, 5.0, 90.0), Judgement::Drawn)];
+        let far = [said(space(5.0, 50.0, 90.0), Judgement::Drawn)];
+        let none = [said(space(5.0, 5.0, 90.0), Judgement::Rejected)];
         let point = [LaneLine {
             lane: 0,
             points: vec![[5.0, 0.0]],

@@ -7,9 +7,9 @@ use rayon::prelude::*;
 use super::GroundBox;
 use super::box_index::BoxIndex;
 use super::description::{LENGTH, describe, reach_m};
-use super::mosaic::{Mosaic, Part};
+use super::mosaic::{Mosaic, TileBlock};
 use super::overhead::Gradients;
-use super::teaching::{Example, Said, TeachingParams};
+use super::teaching::{Example, Judgement, TeachingParams};
 use super::template::{Template, laid_out};
 use crate::learning::gaussian_process::LinearProcess;
 use crate::solving::random::SplitMix64;
@@ -36,7 +36,7 @@ pub(super) fn reach_of(sizes_m: &[[f64; 2]]) -> f64 {
 }
 
 /// What is to be learnt from one example, or from the floor.
-struct Seen {
+struct TrainingExample {
     /// The example; `None` for random boxes.
     example: Option<Example>,
     /// What the image shows in it, as drawn and from its other end; one alone for random boxes.
@@ -49,7 +49,7 @@ struct Seen {
     layout: Option<Vec<[f32; 2]>>,
 }
 
-impl Seen {
+impl TrainingExample {
     /// The box from its other end.
     fn turn(&mut self) {
         let beside = self.beside.iter_mut().map(|(ways, _)| ways);
@@ -67,8 +67,8 @@ fn looked_at_m(examples: &[Example]) -> f64 {
 }
 
 /// Examples by the part that they lie in, each with its place among all.
-fn by_part(mosaic: &Mosaic, examples: &[Example]) -> BTreeMap<Part, Vec<(usize, Example)>> {
-    let mut parts: BTreeMap<Part, Vec<(usize, Example)>> = BTreeMap::new();
+fn by_part(mosaic: &Mosaic, examples: &[Example]) -> BTreeMap<TileBlock, Vec<(usize, Example)>> {
+    let mut parts: BTreeMap<TileBlock, Vec<(usize, Example)>> = BTreeMap::new();
     for (at, example) in examples.iter().enumerate() {
         let part = parts.entry(mosaic.part(example.place.centre)).or_default();
         part.push((at, *example));
@@ -93,7 +93,11 @@ pub(super) fn is_looked_at(
 }
 
 /// What the image shows in the examples, in their order, and in random boxes near them.
-fn described(mosaic: &Mosaic, examples: &[Example], params: &TeachingParams) -> Vec<Seen> {
+fn described(
+    mosaic: &Mosaic,
+    examples: &[Example],
+    params: &TeachingParams,
+) -> Vec<TrainingExample> {
     let ones: Vec<GroundBox> = examples
         .iter()
         .filter(|one| one.is_one())
@@ -103,7 +107,7 @@ fn described(mosaic: &Mosaic, examples: &[Example], params: &TeachingParams) -> 
     let reach_m = looked_at_m(examples);
     let parts = by_part(mosaic, examples);
     let random = params.random_boxes.div_ceil(parts.len().max(1));
-    let mut seen: Vec<(usize, Seen)> = Vec::new();
+    let mut seen: Vec<(usize, TrainingExample)> = Vec::new();
     for (part, examples) in parts {
         let gradients = mosaic.gradients(part, reach_m);
         let found = examples.into_par_iter().filter_map(|(at, example)| {
@@ -112,7 +116,7 @@ fn described(mosaic: &Mosaic, examples: &[Example], params: &TeachingParams) -> 
         seen.extend(found.collect::<Vec<_>>());
         let is_here = |place: &GroundBox| mosaic.part(place.centre) == part;
         let floor = random_boxes(&gradients, &index, &ones, random, is_here).into_iter();
-        let floor = floor.map(|sample| Seen {
+        let floor = floor.map(|sample| TrainingExample {
             example: None,
             ways: vec![sample],
             answer: -1.0,
@@ -125,13 +129,17 @@ fn described(mosaic: &Mosaic, examples: &[Example], params: &TeachingParams) -> 
     seen.into_iter().map(|(_, seen)| seen).collect()
 }
 
-fn described_example(gradients: &Gradients, example: Example, ones: &BoxIndex) -> Option<Seen> {
+fn described_example(
+    gradients: &Gradients,
+    example: Example,
+    ones: &BoxIndex,
+) -> Option<TrainingExample> {
     let ways = |place: &GroundBox| -> Option<Vec<Vec<f32>>> {
         let turned = describe(gradients, &place.turned())?;
         Some(vec![describe(gradients, place)?, turned])
     };
     let beside = |place: GroundBox| Some((ways(&place)?, answer(example.place.overlap(&place))));
-    Some(Seen {
+    Some(TrainingExample {
         example: Some(example),
         ways: ways(&example.place)?,
         answer: if example.is_one() {
@@ -147,7 +155,7 @@ fn described_example(gradients: &Gradients, example: Example, ones: &BoxIndex) -
         } else {
             Vec::new()
         },
-        layout: (example.said == Said::Drawn)
+        layout: (example.judgement == Judgement::Drawn)
             .then(|| laid_out(gradients, &example.place))
             .flatten(),
     })
@@ -247,9 +255,9 @@ impl Lesson {
 /// Turns boxes of the kind round, of those that look more like all the others from their other end one after the other, until
 /// there are none. Each turn makes the sum of their descriptions longer, so there is an end; that numbers are rounded may
 /// hide it.
-fn turn_alike(seen: &mut [Seen]) {
-    let is_one = |one: &&mut Seen| one.example.is_some_and(|example| example.is_one());
-    let mut ones: Vec<&mut Seen> = seen.iter_mut().filter(is_one).collect();
+fn turn_alike(seen: &mut [TrainingExample]) {
+    let is_one = |one: &&mut TrainingExample| one.example.is_some_and(|example| example.is_one());
+    let mut ones: Vec<&mut TrainingExample> = seen.iter_mut().filter(is_one).collect();
     let mut all = vec![0.0_f32; LENGTH];
     ones.iter().for_each(|one| add(&mut all, &one.ways[0], 1.0));
     for _ in 0..MOST_TURNS {

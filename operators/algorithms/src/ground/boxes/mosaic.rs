@@ -27,7 +27,7 @@ pub struct Mosaic {
 
 /// A square of tiles.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
-pub struct Part([i64; 2]);
+pub struct TileBlock([i64; 2]);
 
 impl Mosaic {
     /// Without tiles, of cells of this side (m).
@@ -61,22 +61,22 @@ impl Mosaic {
     }
 
     /// The parts that have tiles, in order.
-    pub fn parts(&self) -> BTreeSet<Part> {
+    pub fn parts(&self) -> BTreeSet<TileBlock> {
         self.tiles.keys().map(|tile| self.part_of(*tile)).collect()
     }
 
-    fn part_of(&self, tile: [i64; 2]) -> Part {
+    fn part_of(&self, tile: [i64; 2]) -> TileBlock {
         let count = |axis: usize| tile[axis].saturating_sub(self.first[axis]);
-        Part([0, 1].map(|axis| count(axis).div_euclid(PART_TILES)))
+        TileBlock([0, 1].map(|axis| count(axis).div_euclid(PART_TILES)))
     }
 
     /// The part that a point of the map is in.
-    pub fn part(&self, point: [f64; 2]) -> Part {
+    pub fn part(&self, point: [f64; 2]) -> TileBlock {
         self.part_of(point.map(|at| (at / self.tile_m()).floor() as i64))
     }
 
     /// The south-western and the north-eastern corner of a part (m).
-    pub(super) fn corners(&self, part: Part) -> [[f64; 2]; 2] {
+    pub(super) fn corners(&self, part: TileBlock) -> [[f64; 2]; 2] {
         [0, PART_TILES].map(|beyond| {
             [0, 1].map(|axis| {
                 let tiles = part.0[axis].saturating_mul(PART_TILES);
@@ -94,7 +94,7 @@ impl Mosaic {
 
     /// Gradients of a part, and beyond its borders as far as boxes that reach this far (m) from a point in it need them, at
     /// most as those with sides of [`LONGEST_CELLS`] do.
-    pub fn gradients(&self, part: Part, reach_m: f64) -> Gradients {
+    pub fn gradients(&self, part: TileBlock, reach_m: f64) -> Gradients {
         let [first, last] = self.span(part, reach_m);
         let columns = self.tiles.range([first[0], i64::MIN]..[last[0], i64::MIN]);
         let near = columns.filter(|([_, row], _)| (first[1]..last[1]).contains(row));
@@ -102,7 +102,7 @@ impl Mosaic {
     }
 
     /// The first column and row of tiles that gradients of a part are of, and those behind the last ones.
-    pub(super) fn span(&self, part: Part, reach_m: f64) -> [[i64; 2]; 2] {
+    pub(super) fn span(&self, part: TileBlock, reach_m: f64) -> [[i64; 2]; 2] {
         let beyond = ((reach_m / self.tile_m()).ceil() as i64).clamp(0, MOST_BEYOND);
         let at = |axis: usize| {
             let along = part.0[axis].saturating_mul(PART_TILES);

@@ -42,7 +42,7 @@ pub struct Entry {
 
 /// A space with its number.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Numbered {
+pub struct NumberedSpace {
     /// Which of the boxes it is.
     pub index: usize,
     /// The box, its length away from the lane.
@@ -60,7 +60,7 @@ pub struct Numbered {
 /// Numbers boxes row by row, from the south-west. `reach_m`: how far from the middle of a space its lane may be.
 ///
 /// Takes time with the product of boxes and points of lanes.
-pub fn numbered(boxes: &[GroundBox], lanes: &[LaneLine], reach_m: f64) -> Vec<Numbered> {
+pub fn numbered(boxes: &[GroundBox], lanes: &[LaneLine], reach_m: f64) -> Vec<NumberedSpace> {
     let spaces: Vec<(GroundBox, Option<Entry>)> = boxes
         .par_iter()
         .map(|place| facing(*place, entry(place, lanes, reach_m)))
@@ -83,7 +83,7 @@ pub fn numbered(boxes: &[GroundBox], lanes: &[LaneLine], reach_m: f64) -> Vec<Nu
         .flat_map(|(row, all)| all.iter().enumerate().map(move |(at, one)| (row, at, *one)));
     places
         .zip(1..)
-        .map(|((row, in_row, index), number)| Numbered {
+        .map(|((row, in_row, index), number)| NumberedSpace {
             index,
             place: spaces[index].0,
             number,

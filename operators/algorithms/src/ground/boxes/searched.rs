@@ -119,7 +119,7 @@ mod tests {
     use super::super::description::LENGTH;
     use super::super::rows::LaneLine;
     use super::super::scan::{Scored, scan};
-    use super::super::teaching::{Example, Said};
+    use super::super::teaching::{Example, Judgement};
     use super::super::turned::{HEADINGS, yaw};
     use super::*;
     use crate::solving::random::SplitMix64;
@@ -148,7 +148,7 @@ mod tests {
                 length_m: 1.6,
                 width_m: 0.8,
             },
-            said: Said::Drawn,
+            judgement: Judgement::Drawn,
         });
         Headings::learn(drawn.as_slice(), lanes)
     }

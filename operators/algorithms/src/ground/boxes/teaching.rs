@@ -51,7 +51,7 @@ impl Default for TeachingParams {
 
 /// What a person said of a box.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Said {
+pub enum Judgement {
     /// It lies exactly here.
     Drawn,
     /// It is one, about here.
@@ -66,13 +66,13 @@ pub struct Example {
     /// The box.
     pub place: GroundBox,
     /// What was said.
-    pub said: Said,
+    pub judgement: Judgement,
 }
 
 impl Example {
     /// Is it one of the kind?
     pub fn is_one(&self) -> bool {
-        self.said != Said::Rejected
+        self.judgement != Judgement::Rejected
     }
 }
 
@@ -134,7 +134,9 @@ impl Taught {
         }
         let process = LinearProcess::learn(&lesson.samples, &lesson.answers)?;
         let held = lesson.left_out(&process);
-        let accepted = examples.iter().filter(|one| one.said == Said::Accepted);
+        let accepted = examples
+            .iter()
+            .filter(|one| one.judgement == Judgement::Accepted);
         let accepted = accepted.count();
         let calibration =
             Calibration::learn(&held).unwrap_or_else(|| untaught(&held, &process, accepted));
@@ -170,7 +172,7 @@ impl Taught {
     pub fn search(&self, mosaic: &Mosaic, examples: &[Example], lanes: &[LaneLine]) -> Candidates {
         let room = self.sizes_m.iter().map(|[length, width]| length * width);
         let room = mosaic.covered_m2() / room.fold(f64::INFINITY, f64::min);
-        let known = Known::new(examples);
+        let known = AnsweredBoxes::new(examples);
         let headings = Headings::learn(examples, lanes);
         let found = mosaic.parts().into_iter().flat_map(|part| {
             let is_here = |place: &GroundBox| mosaic.part(place.centre) == part;
@@ -183,13 +185,13 @@ impl Taught {
             );
             self.described(&gradients, found, &known)
         });
-        let scored = |one: &Described| one.scored;
+        let scored = |one: &ScoredSample| one.scored;
         Candidates(apart(found.collect(), room as usize, scored))
     }
 
     /// What is left of candidates that were found when less was known, the likeliest first: not moved, none added.
     pub fn look_again(&self, Candidates(found): &Candidates, examples: &[Example]) -> Candidates {
-        let known = Known::new(examples);
+        let known = AnsweredBoxes::new(examples);
         let open = found
             .par_iter()
             .filter(|one| known.leaves_open(&one.scored.place));
@@ -200,9 +202,9 @@ impl Taught {
                 ..one.scored
             };
             let sample = one.sample.clone();
-            Described { scored, sample }
+            ScoredSample { scored, sample }
         });
-        let scored: Vec<Described> = scored.collect();
+        let scored: Vec<ScoredSample> = scored.collect();
         let most = scored.len();
         Candidates(apart(scored, most, |one| one.scored))
     }
@@ -227,8 +229,8 @@ impl Taught {
         &self,
         gradients: &Gradients,
         found: Vec<Scored>,
-        known: &Known,
-    ) -> Vec<Described> {
+        known: &AnsweredBoxes,
+    ) -> Vec<ScoredSample> {
         let open = found
             .into_iter()
             .filter(|one| known.leaves_open(&one.place));
@@ -237,7 +239,7 @@ impl Taught {
             let place = self.template.laid_on(gradients, found.place, &self.sizes_m);
             let sample = describe(gradients, &place)?;
             let scored = Scored { place, ..found };
-            Some(Described { scored, sample })
+            Some(ScoredSample { scored, sample })
         });
         described.collect()
     }
@@ -285,12 +287,12 @@ fn untaught(held: &[(f64, bool)], process: &LinearProcess, accepted: usize) -> C
 const PROBIT: f64 = 1.702;
 
 /// Boxes that a person said something of.
-struct Known {
+struct AnsweredBoxes {
     ones: BoxIndex,
     others: BoxIndex,
 }
 
-impl Known {
+impl AnsweredBoxes {
     fn new(examples: &[Example]) -> Self {
         let boxes = |is_one: bool| {
             let boxes = examples.iter().filter(|one| one.is_one() == is_one);
@@ -310,15 +312,15 @@ impl Known {
 
 /// Boxes with what the image shows in them.
 #[derive(Debug, Clone, Default)]
-pub struct Candidates(Vec<Described>);
+pub struct Candidates(Vec<ScoredSample>);
 
 #[derive(Debug, Clone)]
-struct Described {
+struct ScoredSample {
     scored: Scored,
     sample: Vec<f32>,
 }
 
-impl AsRef<[f32]> for Described {
+impl AsRef<[f32]> for ScoredSample {
     fn as_ref(&self) -> &[f32] {
         &self.sample
     }

@@ -13,7 +13,7 @@ use super::GroundBox;
 use super::lesson::{Lesson, reach_of};
 use super::mosaic::{LONGEST_CELLS, MOST_BEYOND, Mosaic};
 use super::picture;
-use super::teaching::{Example, Hypothesis, Said, Taught, TeachingParams};
+use super::teaching::{Example, Hypothesis, Judgement, Taught, TeachingParams};
 use crate::ground::channels::Pixels;
 use crate::ground::tiles::TILE_CELLS;
 use crate::solving::median::median;
@@ -247,7 +247,7 @@ impl Oracle<'_> {
             .unwrap();
         self.examples.push(Example {
             place,
-            said: Said::Drawn,
+            judgement: Judgement::Drawn,
         });
     }
 
@@ -269,12 +269,12 @@ impl Oracle<'_> {
                 .iter()
                 .max_by(|a, b| overlap(a).total_cmp(&overlap(b)));
             let bay = nearest.unwrap();
-            let (place, said) = match bay.overlap(&one.place) {
-                0.8.. => (one.place, Said::Accepted),
-                0.5.. => (*bay, Said::Drawn),
-                _ => (one.place, Said::Rejected),
+            let (place, judgement) = match bay.overlap(&one.place) {
+                0.8.. => (one.place, Judgement::Accepted),
+                0.5.. => (*bay, Judgement::Drawn),
+                _ => (one.place, Judgement::Rejected),
             };
-            self.examples.push(Example { place, said });
+            self.examples.push(Example { place, judgement });
             self.answers += 1;
         }
     }
@@ -476,7 +476,7 @@ fn parts_of_a_floor_teach_no_random_box_twice() {
     assert_eq!(mosaic.parts().len(), 2);
     let examples = [0, 58].map(|at| Example {
         place: spaces[at],
-        said: Said::Drawn,
+        judgement: Judgement::Drawn,
     });
     let lesson = Lesson::new(&mosaic, &examples, &TeachingParams::default());
     let samples: Vec<Vec<u32>> = lesson
@@ -501,18 +501,18 @@ fn what_is_learnt_is_the_same_of_the_tiles_that_are_read_alone() {
     let tile_m = CELL_M * TILE_CELLS as f64;
     // On both sides of a border of parts, and in the middle of the second one.
     let examples = [
-        (4.9, Said::Drawn),
-        (5.1, Said::Rejected),
-        (8.5, Said::Drawn),
+        (4.9, Judgement::Drawn),
+        (5.1, Judgement::Rejected),
+        (8.5, Judgement::Drawn),
     ];
-    let examples = examples.map(|(tiles_east, said)| Example {
+    let examples = examples.map(|(tiles_east, judgement)| Example {
         place: GroundBox {
             centre: [tiles_east * tile_m, 2.5 * tile_m],
             yaw: 0.4,
             length_m: 5.0,
             width_m: 2.4,
         },
-        said,
+        judgement,
     });
     let mut counted = Mosaic::new(CELL_M);
     tiles.iter().for_each(|(tile, _)| counted.count_from(*tile));
@@ -570,7 +570,8 @@ fn nothing_is_learnt_where_nothing_was_seen() {
         length_m: 5.0,
         width_m: 2.4,
     };
-    let said = [Said::Drawn, Said::Rejected].map(|said| Example { place, said });
+    let said =
+        [Judgement::Drawn, Judgement::Rejected].map(|judgement| Example { place, judgement });
     assert_eq!(Taught::learn(&mosaic, &said, &params), Ok(None));
     assert_eq!(Taught::learn(&mosaic, &[], &params), Ok(None));
 }

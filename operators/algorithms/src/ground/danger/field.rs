@@ -16,7 +16,7 @@ pub struct Weights {
 
 /// What was seen of a cell.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
-pub struct Seen {
+pub struct LookCounts {
     /// Looks at it, n.
     pub looks: f64,
     /// Looks in which somebody was there, k; between 0 and n.
@@ -55,7 +55,12 @@ impl DangerField {
 
     /// The probability of each cell. `priors` and `seen` are in the order of the cells. `None` where the system is singular
     /// or not finite, which weights above 0 and numbers do not make it.
-    pub fn solve(&mut self, priors: &[f64], seen: &[Seen], weights: Weights) -> Option<Vec<f64>> {
+    pub fn solve(
+        &mut self,
+        priors: &[f64],
+        seen: &[LookCounts],
+        weights: Weights,
+    ) -> Option<Vec<f64>> {
         let Weights {
             prior_looks: a,
             tie_looks: t,

@@ -9,11 +9,11 @@
 use std::collections::BTreeSet;
 use std::ops::RangeInclusive;
 
-use super::field::{DangerField, Seen, Weights};
+use super::field::{DangerField, LookCounts, Weights};
 use crate::solving::least_squares::SystemError;
 
 /// What one visit saw, by index of the cell; ascending.
-pub type Visit = Vec<(usize, Seen)>;
+pub type Visit = Vec<(usize, LookCounts)>;
 
 /// Probabilities are kept this far from 0 and 1 where their logarithms are taken.
 const LEAST: f64 = 1e-6;
@@ -50,7 +50,7 @@ pub struct Foretold {
 
 /// What the visits teach.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Learnt {
+pub struct DangerModel {
     /// Probability of each kind.
     pub priors: Vec<f64>,
     /// Weights.
@@ -80,7 +80,7 @@ impl Ground {
         }
         let mut rates: Vec<(f64, f64)> = self.expected.iter().map(|rate| (*rate, 1.0)).collect();
         for visit in visits {
-            let mut of_kind = vec![Seen::default(); rates.len()];
+            let mut of_kind = vec![LookCounts::default(); rates.len()];
             for (cell, seen) in &self.visits[*visit] {
                 add(&mut of_kind[self.kinds[*cell]], seen);
             }
@@ -94,8 +94,8 @@ impl Ground {
     }
 
     /// What was seen of each cell in these visits.
-    pub fn seen(&self, visits: &[usize]) -> Vec<Seen> {
-        let mut seen = vec![Seen::default(); self.kinds.len()];
+    pub fn seen(&self, visits: &[usize]) -> Vec<LookCounts> {
+        let mut seen = vec![LookCounts::default(); self.kinds.len()];
         for (cell, more) in visits.iter().flat_map(|visit| &self.visits[*visit]) {
             add(&mut seen[*cell], more);
         }
@@ -122,7 +122,7 @@ impl Ground {
     ///
     /// # Errors
     /// [`SystemError::TooLarge`] where the system has no solution.
-    pub fn learn(&mut self) -> Result<Learnt, SystemError> {
+    pub fn learn(&mut self) -> Result<DangerModel, SystemError> {
         let all = self.all();
         let one_visit = self.looks_of_a_visit();
         let mut weights = Weights {
@@ -134,7 +134,7 @@ impl Ground {
             weights = self.search(one_visit)?;
             foretold = self.foretell_each(weights)?;
         }
-        Ok(Learnt {
+        Ok(DangerModel {
             priors: self.priors(&all),
             weights,
             foretold,
@@ -168,7 +168,7 @@ impl Ground {
         let map = self.danger(before, &priors, weights);
         let map = map.ok_or(SystemError::TooLarge)?;
         let seen = self.seen(before);
-        let mut sum = Seen::default();
+        let mut sum = LookCounts::default();
         seen.iter().for_each(|seen| add(&mut sum, seen));
         let rate = sum.people / sum.looks.max(1.0);
         let (visit, kinds) = (&self.visits[next], &self.kinds);
@@ -245,14 +245,14 @@ fn weights_at(halves: [i64; 2]) -> Weights {
     }
 }
 
-fn add(sum: &mut Seen, more: &Seen) {
+fn add(sum: &mut LookCounts, more: &LookCounts) {
     sum.looks += more.looks;
     sum.people += more.people;
 }
 
 /// Of what a visit saw, under a probability for each cell.
 fn log_likelihood(visit: &Visit, probability: impl Fn(usize) -> f64) -> f64 {
-    let of_cell = |(cell, seen): &(usize, Seen)| {
+    let of_cell = |(cell, seen): &(usize, LookCounts)| {
         let p = probability(*cell).clamp(LEAST, 1.0 - LEAST);
         seen.people * p.ln() + (seen.looks - seen.people) * (-p).ln_1p()
     };

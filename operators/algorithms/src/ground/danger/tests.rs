@@ -5,7 +5,7 @@ use proptest::prelude::*;
 
 use super::DangerField;
 use super::exposure::{ExposureParams, Looks, Shot, Standing, Surroundings};
-use super::field::{Seen, Weights};
+use super::field::{LookCounts, Weights};
 use super::foretelling::{Ground, Visit};
 use super::presence::{FoundPerson, presence};
 use super::speed::SpeedParams;
@@ -16,7 +16,7 @@ use crate::ground::floor::Floor;
 use crate::solving::random::SplitMix64;
 
 /// Eq. 1 to 3 with weights, written down edge by edge and solved densely.
-fn dense(cells: &[Cell], priors: &[f64], seen: &[Seen], weights: Weights) -> Vec<f64> {
+fn dense(cells: &[Cell], priors: &[f64], seen: &[LookCounts], weights: Weights) -> Vec<f64> {
     let n = cells.len();
     let mut matrix = DMatrix::<f64>::zeros(n, n);
     let mut right = DVector::<f64>::zeros(n);
@@ -49,9 +49,9 @@ proptest! {
     ) {
         let cells: Vec<Cell> = places.keys().copied().collect();
         let priors: Vec<f64> = places.values().map(|(prior, ..)| *prior).collect();
-        let seen: Vec<Seen> = places
+        let seen: Vec<LookCounts> = places
             .values()
-            .map(|(_, looks, share)| Seen { looks: f64::from(*looks), people: share * f64::from(*looks) })
+            .map(|(_, looks, share)| LookCounts { looks: f64::from(*looks), people: share * f64::from(*looks) })
             .collect();
         let weights = Weights { prior_looks, tie_looks };
         let found = DangerField::new(cells.clone()).unwrap().solve(&priors, &seen, weights).unwrap();
@@ -67,7 +67,7 @@ proptest! {
 
 #[test]
 fn without_ties_it_is_the_mean_of_a_beta_posterior() {
-    let seen = [(10.0, 3.0), (0.0, 0.0)].map(|(looks, people)| Seen { looks, people });
+    let seen = [(10.0, 3.0), (0.0, 0.0)].map(|(looks, people)| LookCounts { looks, people });
     let weights = Weights {
         prior_looks: 5.0,
         tie_looks: 0.0,
@@ -269,7 +269,7 @@ fn visit(number: u64, cells: &[Cell], right: bool, people: usize) -> Visit {
         .map(|cell| {
             (
                 cell,
-                Seen {
+                LookCounts {
                     looks: f64::round(6.0 + 18.0 * chance()),
                     people: 0.0,
                 },

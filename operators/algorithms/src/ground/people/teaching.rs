@@ -102,17 +102,17 @@ pub fn belief(process: &LinearProcess, description: &[f32], probability: f64) ->
 
 /// What nobody has said anything of: the least certain of all that were added.
 #[derive(Debug, Clone)]
-pub struct Open<T> {
+pub struct LeastCertain<T> {
     kept: Vec<(f64, T)>,
 }
 
-impl<T> Default for Open<T> {
+impl<T> Default for LeastCertain<T> {
     fn default() -> Self {
         Self { kept: Vec::new() }
     }
 }
 
-impl<T> Open<T> {
+impl<T> LeastCertain<T> {
     /// Adds one that is a person with this probability. Of those that are equally certain the first ones stay.
     pub fn add(&mut self, probability: f64, one: T) {
         self.kept.push((probability, one));
@@ -268,7 +268,7 @@ mod tests {
 
     #[test]
     fn the_least_certain_stay_in_order_whatever_comes_between() {
-        let mut open = Open::default();
+        let mut open = LeastCertain::default();
         let probability = |at: usize| (at * 7919 % 10_000) as f64 / 10_000.0;
         (0..10_000).for_each(|at| open.add(probability(at), at));
         let kept = open.least_certain();

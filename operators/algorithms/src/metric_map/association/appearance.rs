@@ -5,7 +5,7 @@ use nalgebra::Vector3;
 use super::scene::FeatureRef;
 use crate::geometry::pose::Pose;
 use crate::metric_map::features::Descriptor;
-use crate::metric_map::visibility::Seen;
+use crate::metric_map::visibility::ViewCone;
 
 /// Most appearances of one landmark.
 const MOST_APPEARANCES: usize = 8;
@@ -19,9 +19,9 @@ const NEAREST_M: f64 = 1e-3;
 /// Members of an appearance that the medoid is taken of, at most.
 const MOST_MEMBERS: usize = 24;
 
-/// How a feature shows a landmark.
+/// How a feature shows a landmark: what an appearance is made from.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct Sighting<'a> {
+pub(super) struct AppearanceSample<'a> {
     /// Unit vector from the landmark to the camera, in the map.
     pub(super) direction: Vector3<f64>,
     /// Distance of the camera, metres.
@@ -37,11 +37,11 @@ pub(super) fn sightings<'a>(
     point: &Vector3<f64>,
     features: &[FeatureRef],
     descriptors: &'a [Descriptor],
-) -> Vec<Sighting<'a>> {
+) -> Vec<AppearanceSample<'a>> {
     let sighting = |(feature, descriptor): (&FeatureRef, &'a Descriptor)| {
         let away = map_from_cameras[feature.image as usize].translation - point;
         let range_m = away.norm().max(NEAREST_M);
-        Sighting {
+        AppearanceSample {
             direction: away / range_m,
             range_m,
             descriptor,
@@ -52,7 +52,7 @@ pub(super) fn sightings<'a>(
 
 /// Groups sightings of a landmark by direction and range, and gives the medoid of each group: the index of the sighting
 /// whose descriptor is nearest to all others. Those of most members first, ties in order of first sight.
-pub(super) fn appearances(sightings: &[Sighting<'_>]) -> Vec<usize> {
+pub(super) fn appearances(sightings: &[AppearanceSample<'_>]) -> Vec<usize> {
     let mut groups: Vec<Vec<usize>> = Vec::new();
     for (at, sighting) in sightings.iter().enumerate() {
         let like = |group: &&mut Vec<usize>| {
@@ -73,12 +73,12 @@ pub(super) fn appearances(sightings: &[Sighting<'_>]) -> Vec<usize> {
 }
 
 /// From where a landmark was seen; from above where directions cancel.
-pub(super) fn seen(sightings: &[Sighting<'_>]) -> Seen {
+pub(super) fn seen(sightings: &[AppearanceSample<'_>]) -> ViewCone {
     let sum: Vector3<f64> = sightings.iter().map(|seen| seen.direction).sum();
     let view = sum.try_normalize(1e-6).unwrap_or_else(Vector3::z);
     let cosines = sightings.iter().map(|seen| seen.direction.dot(&view));
     let ranges = || sightings.iter().map(|seen| seen.range_m);
-    Seen {
+    ViewCone {
         view,
         view_cos: cosines.fold(1.0, f64::min),
         ranges_m: [
@@ -88,7 +88,7 @@ pub(super) fn seen(sightings: &[Sighting<'_>]) -> Seen {
     }
 }
 
-fn medoid(sightings: &[Sighting<'_>], group: &[usize]) -> usize {
+fn medoid(sightings: &[AppearanceSample<'_>], group: &[usize]) -> usize {
     let step = group.len().div_ceil(MOST_MEMBERS);
     let members = || group.iter().copied().step_by(step);
     let bits = |a: usize, b: usize| sightings[a].descriptor.distance(sightings[b].descriptor);
@@ -102,8 +102,8 @@ mod tests {
     use super::*;
     use crate::metric_map::features::DESCRIPTOR_BYTES;
 
-    fn sighting(angle_rad: f64, range_m: f64, descriptor: &Descriptor) -> Sighting<'_> {
-        Sighting {
+    fn sighting(angle_rad: f64, range_m: f64, descriptor: &Descriptor) -> AppearanceSample<'_> {
+        AppearanceSample {
             direction: Vector3::new(angle_rad.cos(), angle_rad.sin(), 0.0),
             range_m,
             descriptor,
@@ -121,7 +121,7 @@ mod tests {
         let looks = [0b1111_0000, 0b0001, 0b0011, 0b0111].map(descriptor);
         let seen = [(1.5, 2.0), (0.0, 2.0), (0.1, 2.2), (0.05, 1.9)];
         let seen = seen.iter().zip(&looks);
-        let seen: Vec<Sighting<'_>> = seen
+        let seen: Vec<AppearanceSample<'_>> = seen
             .map(|((angle_rad, range_m), look)| sighting(*angle_rad, *range_m, look))
             .collect();
         assert_eq!(appearances(&seen), [2, 0]);
@@ -131,7 +131,7 @@ mod tests {
     #[test]
     fn there_are_never_too_many() {
         let look = descriptor(7);
-        let around: Vec<Sighting<'_>> = (0..200)
+        let around: Vec<AppearanceSample<'_>> = (0..200)
             .map(|at| sighting(f64::from(at) * 0.3, 1.0 + f64::from(at), &look))
             .collect();
         assert_eq!(appearances(&around).len(), MOST_APPEARANCES);

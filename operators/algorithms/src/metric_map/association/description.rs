@@ -7,7 +7,7 @@ use super::point::{LandmarkPoint, Sight, triangulate};
 use super::scene::{FeatureRef, Scene};
 use crate::geometry::pose::Pose;
 use crate::metric_map::features::Descriptor;
-use crate::metric_map::visibility::Seen;
+use crate::metric_map::visibility::ViewCone;
 
 /// Where a landmark is, and how it has been seen.
 #[derive(Debug, Clone, PartialEq)]
@@ -42,7 +42,7 @@ pub fn describe(
     let sights: Vec<Sight> = sights.collect();
     let place = triangulate(&sights)?;
     let sightings = sightings(map_from_cameras, &place.point, features, descriptors);
-    let Seen {
+    let ViewCone {
         view,
         view_cos,
         ranges_m: [near_m, far_m],

@@ -7,7 +7,7 @@ use rayon::prelude::*;
 
 use super::point::{Sight, triangulate};
 use super::search::{Hit, Search};
-use super::{AssociationParams, Described, FeatureRef, Landmark, Scene};
+use super::{AssociationParams, DescriptorSource, FeatureRef, Landmark, Scene};
 use crate::geometry::pose::Pose;
 use crate::solving::parts::{first, join};
 
@@ -24,10 +24,10 @@ const NONE: u32 = u32::MAX;
 /// Given are the landmarks in the order of the ones given; merged ones take the place of the earliest.
 ///
 /// # Errors
-/// As [`Described::descriptors`].
+/// As [`DescriptorSource::descriptors`].
 pub fn associate<E: Send>(
     scene: &Scene,
-    described: &dyn Described<E>,
+    described: &dyn DescriptorSource<E>,
     poses: &[Pose],
     landmarks: &[Landmark],
     params: &AssociationParams,
@@ -131,8 +131,9 @@ impl<'a> Groups<'a> {
     /// Makes one landmark of each pair that can be one, in their order. What shares no landmark is merged side by side.
     fn merge(&mut self, pairs: &[(u32, u32)]) {
         let parts = apart(self.landmarks.len(), pairs);
-        let merged: Vec<Part> = parts.par_iter().map(|pairs| self.merged(pairs)).collect();
-        for Part { landmarks, parents } in merged {
+        let merged: Vec<MergedLandmarks> =
+            parts.par_iter().map(|pairs| self.merged(pairs)).collect();
+        for MergedLandmarks { landmarks, parents } in merged {
             for (at, landmark) in landmarks {
                 self.landmarks[at as usize] = Some(landmark);
             }
@@ -143,8 +144,8 @@ impl<'a> Groups<'a> {
         }
     }
 
-    fn merged(&self, pairs: &[(u32, u32)]) -> Part {
-        let mut part = Part::default();
+    fn merged(&self, pairs: &[(u32, u32)]) -> MergedLandmarks {
+        let mut part = MergedLandmarks::default();
         for (a, b) in pairs {
             let (a, b) = (part.root(*a), part.root(*b));
             let (into, from) = (a.min(b), a.max(b));
@@ -209,14 +210,14 @@ impl<'a> Groups<'a> {
 
 /// What became of landmarks that have nothing to do with others.
 #[derive(Default)]
-struct Part {
+struct MergedLandmarks {
     /// Those that grew.
     landmarks: BTreeMap<u32, Landmark>,
     /// Into which those went that are no more.
     parents: BTreeMap<u32, u32>,
 }
 
-impl Part {
+impl MergedLandmarks {
     fn root(&self, mut at: u32) -> u32 {
         while let Some(above) = self.parents.get(&at) {
             at = *above;

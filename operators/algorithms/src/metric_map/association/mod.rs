@@ -27,8 +27,8 @@
 //! Tardós 2015, V-D and VI-B); the ratio test is Lowe's (2004, 7.1).
 
 mod appearance;
-mod described;
 mod description;
+mod descriptor_source;
 mod merge;
 mod point;
 mod resight;
@@ -36,8 +36,8 @@ mod scene;
 mod search;
 mod target;
 
-pub use described::{Described, descriptors_of};
 pub use description::{Description, describe};
+pub use descriptor_source::{DescriptorSource, descriptors_of};
 pub use merge::associate;
 pub use point::{LandmarkPoint, Sight, triangulate};
 pub use scene::{FeatureRef, Scene, SceneFeature, SceneImage, SceneKeyframe};

@@ -21,7 +21,7 @@ pub struct FeatureRef {
 }
 
 /// Where a feature is, with the ray that it was seen along, in single precision: there are millions, and it errs by a
-/// ten-thousandth of a pixel. What it looks like is to be [fetched](super::Described).
+/// ten-thousandth of a pixel. What it looks like is to be [fetched](super::DescriptorSource).
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct SceneFeature {
     pixel: [f32; 2],

@@ -5,7 +5,7 @@ use std::borrow::Cow;
 use nalgebra::Vector3;
 use rayon::prelude::*;
 
-use super::described::Described;
+use super::descriptor_source::DescriptorSource;
 use super::point::LineOfSight;
 use super::resight::{Resighting, agreed_pose};
 use super::target::{Target, targets};
@@ -51,7 +51,7 @@ struct Image<'a> {
 /// Prepared for searching any keyframe.
 pub(super) struct Search<'a, E> {
     scene: &'a Scene,
-    described: &'a dyn Described<E>,
+    described: &'a dyn DescriptorSource<E>,
     poses: &'a [Pose],
     params: &'a AssociationParams,
     targets: Vec<Target>,
@@ -65,7 +65,7 @@ pub(super) struct Search<'a, E> {
 impl<'a, E: Send> Search<'a, E> {
     pub(super) fn new(
         scene: &'a Scene,
-        described: &'a dyn Described<E>,
+        described: &'a dyn DescriptorSource<E>,
         poses: &'a [Pose],
         landmarks: &'a [Landmark],
         params: &'a AssociationParams,

@@ -4,7 +4,7 @@ use nalgebra::Vector3;
 use rayon::prelude::*;
 
 use super::appearance::{appearances, seen, sightings};
-use super::described::{Described, descriptors_of};
+use super::descriptor_source::{DescriptorSource, descriptors_of};
 use super::{AssociationParams, FeatureRef, Landmark, Scene};
 use crate::geometry::pose::Pose;
 use crate::metric_map::features::Descriptor;
@@ -59,10 +59,10 @@ impl Target {
 /// one are held; the others are looked at part by part.
 ///
 /// # Errors
-/// As [`Described::descriptors`].
+/// As [`DescriptorSource::descriptors`].
 pub(super) fn targets<E: Send>(
     scene: &Scene,
-    described: &dyn Described<E>,
+    described: &dyn DescriptorSource<E>,
     cameras: &[Pose],
     landmarks: &[Landmark],
     params: &AssociationParams,
@@ -96,7 +96,7 @@ fn parts(landmarks: &[Landmark], features: usize) -> impl Iterator<Item = &[Land
 
 /// Landmarks with the descriptors of their features.
 fn with_descriptors<'l, E: Send>(
-    described: &dyn Described<E>,
+    described: &dyn DescriptorSource<E>,
     landmarks: &'l [Landmark],
 ) -> Result<Vec<(&'l Landmark, Vec<Descriptor>)>, E> {
     let features = landmarks.iter().flat_map(|landmark| &landmark.features);

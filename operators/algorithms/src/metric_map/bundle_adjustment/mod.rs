@@ -1,7 +1,7 @@
 //! Bundle adjustment: poses and landmarks from all observations at once.
 //!
 //! ```text
-//!  Session ── odometry scale, yaw per metre      Rig ── cameras, fixed on the vehicle
+//!  SessionState ── odometry scale, yaw per metre Rig ── cameras, fixed on the vehicle
 //!     │                                           │
 //!  Keyframe ──Odometry── Keyframe        Observation ── pixel of a Landmark
 //!     └────────────────────── Problem ────────────┘ ──solve──► Report
@@ -27,6 +27,7 @@
 mod blocks;
 mod clusters;
 mod coarse;
+mod decomposition;
 mod elimination;
 mod equations;
 mod factor;
@@ -36,7 +37,6 @@ mod reduced;
 mod regions;
 pub mod schur;
 mod system;
-mod taken;
 mod vehicle;
 
 #[cfg(test)]
@@ -53,9 +53,9 @@ pub use regions::Cut;
 pub use schur::LinearSolver;
 pub(crate) use vehicle::SEEN_M;
 
-/// A drive.
+/// What is to be known of a drive beside its poses: its odometry, and by which rig it was seen.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Session {
+pub struct SessionState {
     /// Index of its rig.
     pub rig: usize,
     /// Driven metres per metre of odometry; unknown, kept near 1 by [`Options`].
@@ -65,7 +65,7 @@ pub struct Session {
     pub odometry_yaw_rad_per_m: f64,
 }
 
-impl Session {
+impl SessionState {
     /// With odometry taken as it is.
     pub fn new(rig: usize) -> Self {
         Self {
@@ -124,7 +124,7 @@ pub struct Problem {
     /// The rigs that sessions name.
     pub rigs: Vec<Rig>,
     /// The sessions that keyframes name. Adjusted.
-    pub sessions: Vec<Session>,
+    pub sessions: Vec<SessionState>,
     /// The poses. Adjusted unless fixed.
     pub poses: Vec<Keyframe>,
     /// Positions of the landmarks in the map, metres. Adjusted.
@@ -248,7 +248,7 @@ pub fn solve(problem: &mut Problem, options: &Options) -> Result<Report, Problem
 }
 
 fn in_one_piece(problem: &mut Problem, options: &Options) -> Result<Summary, SystemError> {
-    let mut schur = taken::schur(problem, options)?;
+    let mut schur = decomposition::schur(problem, options)?;
     let summary = least_squares::minimise(&mut schur, &options.least_squares);
     let (vehicles, landmarks) = schur.into_estimate();
     let (poses, sessions) = vehicles.into_estimate();

@@ -15,7 +15,7 @@
 
 use nalgebra::{Matrix6, SMatrix, UnitQuaternion, Vector3, Vector6};
 
-use super::{Odometry, Session};
+use super::{Odometry, SessionState};
 use crate::geometry::lie::{hat, se3, so3};
 use crate::geometry::pose::Pose;
 
@@ -32,7 +32,12 @@ fn about_z(angle: f64) -> UnitQuaternion<f64> {
 }
 
 /// The residual, in standard deviations.
-pub(super) fn residual(step: &Odometry, from: &Pose, to: &Pose, session: &Session) -> Vector6<f64> {
+pub(super) fn residual(
+    step: &Odometry,
+    from: &Pose,
+    to: &Pose,
+    session: &SessionState,
+) -> Vector6<f64> {
     let motion = from.inverse().compose(to);
     let turn = session.odometry_yaw_rad_per_m * step.length_m;
     let measured = &step.from_from_to;
@@ -44,7 +49,12 @@ pub(super) fn residual(step: &Odometry, from: &Pose, to: &Pose, session: &Sessio
 }
 
 /// The residual with its derivatives.
-pub(super) fn linearise(step: &Odometry, from: &Pose, to: &Pose, session: &Session) -> StepLinear {
+pub(super) fn linearise(
+    step: &Odometry,
+    from: &Pose,
+    to: &Pose,
+    session: &SessionState,
+) -> StepLinear {
     let motion = from.inverse().compose(to);
     let turn = session.odometry_yaw_rad_per_m * step.length_m;
     let chord = about_z(0.5 * turn) * step.from_from_to.translation;

@@ -8,7 +8,7 @@ use nalgebra::{Matrix2x3, Matrix3, Matrix6, SMatrix, SVector, Vector3, Vector6};
 
 use super::odometry::{self, StepLinear};
 use super::schur::{Bundle, FIXED, Linear, Terms};
-use super::{Keyframe, Observation, Odometry, Options, Problem, Session};
+use super::{Keyframe, Observation, Odometry, Options, Problem, SessionState};
 use crate::geometry::camera::Camera;
 use crate::geometry::lie::{hat, se3};
 use crate::solving::least_squares::absolute_max;
@@ -23,7 +23,7 @@ pub(crate) const SEEN_M: f64 = 10.0;
 
 /// A pose as projections need it.
 #[derive(Clone, Copy)]
-struct Placed {
+struct PoseCache {
     /// Rotation of `vehicle_from_map`.
     rotation: Matrix3<f64>,
     /// Position of the vehicle in the map.
@@ -31,7 +31,7 @@ struct Placed {
 }
 
 /// A camera as projections need it.
-struct Mounted {
+struct CameraCache {
     camera: Camera,
     /// Rotation and translation of `camera_from_vehicle`.
     rotation: Matrix3<f64>,
@@ -41,12 +41,12 @@ struct Mounted {
 #[derive(Clone)]
 struct Estimate {
     poses: Vec<Keyframe>,
-    placed: Vec<Placed>,
-    sessions: Vec<Session>,
+    placed: Vec<PoseCache>,
+    sessions: Vec<SessionState>,
 }
 
 /// An observation as projections need it.
-struct Seen {
+struct WeighedPixel {
     pose: u32,
     camera: u32,
     pixel: [f64; 2],
@@ -57,8 +57,8 @@ struct Seen {
 pub(super) struct Vehicles<'a> {
     estimate: Estimate,
     trial: Estimate,
-    cameras: Vec<Mounted>,
-    seen: Vec<Seen>,
+    cameras: Vec<CameraCache>,
+    seen: Vec<WeighedPixel>,
     odometry: &'a [Odometry],
     /// Block of each pose, or [`FIXED`].
     blocks: Vec<u32>,
@@ -83,7 +83,7 @@ impl<'a> Vehicles<'a> {
             first_camera.push(cameras.len());
             cameras.extend(rig.cameras.iter().map(|mounted| {
                 let camera_from_vehicle = mounted.vehicle_from_camera.inverse();
-                Mounted {
+                CameraCache {
                     camera: mounted.camera.clone(),
                     rotation: camera_from_vehicle
                         .rotation
@@ -95,7 +95,7 @@ impl<'a> Vehicles<'a> {
         }
         let seen = |seen: &Observation| {
             let session = problem.poses[seen.pose].session;
-            Seen {
+            WeighedPixel {
                 pose: seen.pose as u32,
                 camera: (first_camera[problem.sessions[session].rig] + seen.camera) as u32,
                 pixel: seen.pixel,
@@ -104,7 +104,7 @@ impl<'a> Vehicles<'a> {
         };
         let estimate = Estimate {
             poses: problem.poses.clone(),
-            placed: problem.poses.iter().map(Placed::new).collect(),
+            placed: problem.poses.iter().map(PoseCache::new).collect(),
             sessions: problem.sessions.clone(),
         };
         Self {
@@ -120,7 +120,7 @@ impl<'a> Vehicles<'a> {
         }
     }
 
-    pub(super) fn into_estimate(self) -> (Vec<Keyframe>, Vec<Session>) {
+    pub(super) fn into_estimate(self) -> (Vec<Keyframe>, Vec<SessionState>) {
         (self.estimate.poses, self.estimate.sessions)
     }
 
@@ -145,7 +145,7 @@ impl<'a> Vehicles<'a> {
     }
 
     /// Scale and yaw drift in standard deviations.
-    fn session_residual(&self, session: &Session) -> [f64; 2] {
+    fn session_residual(&self, session: &SessionState) -> [f64; 2] {
         [
             (session.odometry_scale - 1.0) / self.options.scale_sigma,
             session.odometry_yaw_rad_per_m / self.options.yaw_sigma_rad_per_m,
@@ -190,7 +190,7 @@ impl<'a> Vehicles<'a> {
         0.5 * self.options.odometry_loss.cost(squared)
     }
 
-    fn add_session(&self, terms: &mut Terms<'_, 6>, index: usize, session: &Session) -> f64 {
+    fn add_session(&self, terms: &mut Terms<'_, 6>, index: usize, session: &SessionState) -> f64 {
         let residual = self.session_residual(session);
         let scales = [self.options.scale_sigma, self.options.yaw_sigma_rad_per_m];
         let block = self.first_session + index;
@@ -283,7 +283,7 @@ impl Bundle<6> for Vehicles<'_> {
             let pose = &mut self.trial.poses[index];
             let before = &self.estimate.poses[index].map_from_vehicle;
             pose.map_from_vehicle = se3::plus(before, &Vector6::from(*step));
-            self.trial.placed[index] = Placed::new(pose);
+            self.trial.placed[index] = PoseCache::new(pose);
         }
         let sessions = self.trial.sessions.iter_mut().zip(&self.estimate.sessions);
         for ((trial, before), step) in sessions.zip(&steps[self.first_session..]) {
@@ -342,7 +342,7 @@ impl Bundle<6> for Vehicles<'_> {
     }
 }
 
-impl Placed {
+impl PoseCache {
     fn new(keyframe: &Keyframe) -> Self {
         let pose = &keyframe.map_from_vehicle;
         Self {
@@ -359,7 +359,7 @@ impl Placed {
 
 /// What a shift and a turn of the map about `middle` do to a pose, along and about its own axes: `φ = Rᵀ ω`,
 /// `ρ = Rᵀ (v + ω × (t - middle))`. Row by row.
-fn rigid_motion(placed: &Placed, middle: &Vector3<f64>) -> [[f64; 6]; 6] {
+fn rigid_motion(placed: &PoseCache, middle: &Vector3<f64>) -> [[f64; 6]; 6] {
     let turned = -placed.rotation * hat(&(placed.origin - middle));
     std::array::from_fn(|row| {
         std::array::from_fn(|column| match (row / 3, column / 3) {

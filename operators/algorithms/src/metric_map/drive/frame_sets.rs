@@ -91,7 +91,7 @@ fn joined<I>(
 
 /// A frame set that odometry has passed.
 #[derive(Debug, Clone)]
-pub(super) struct Placed<I> {
+pub(super) struct PosedFrameSet<I> {
     pub(super) set: FrameSet<I>,
     pub(super) pose: Pose,
     /// The stretch of odometry that it lies in.
@@ -101,7 +101,7 @@ pub(super) struct Placed<I> {
 /// A session's frame sets: those that odometry has passed have a pose.
 #[derive(Debug, Clone)]
 pub(super) struct FrameSets<I> {
-    pub(super) placed: VecDeque<Placed<I>>,
+    pub(super) placed: VecDeque<PosedFrameSet<I>>,
     pub(super) ahead: VecDeque<FrameSet<I>>,
     /// Exposures left out: the camera has another one with their stamp.
     pub(super) repeated: u64,
@@ -156,7 +156,7 @@ impl<I> FrameSets<I> {
                 .or((set.stamp == to.0).then_some(to));
             if let Some(from) = from {
                 let pose = Pose::at_stamp(set.stamp, from, to);
-                self.placed.push_back(Placed { set, pose, stretch });
+                self.placed.push_back(PosedFrameSet { set, pose, stretch });
             }
         }
     }

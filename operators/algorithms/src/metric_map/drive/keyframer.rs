@@ -3,7 +3,7 @@
 use std::collections::VecDeque;
 
 use super::continuity::{Continued, Continuity};
-use super::frame_sets::{FrameSet, FrameSets, Placed};
+use super::frame_sets::{FrameSet, FrameSets, PosedFrameSet};
 use super::selector::{Due, KeyframeSelector};
 use super::{DriveLosses, Exposure, KeyframeParams, Outside, nanoseconds};
 use crate::geometry::pose::Pose;
@@ -111,7 +111,8 @@ impl<I> Keyframer<I> {
         {
             return None;
         }
-        let serves = |placed: &Placed<I>| placed.stretch == due.stretch && in_time(&placed.set);
+        let serves =
+            |placed: &PosedFrameSet<I>| placed.stretch == due.stretch && in_time(&placed.set);
         let keyframe = match self.sets.placed.front().is_some_and(serves) {
             true => {
                 let best = self.best(finished)?;
@@ -153,8 +154,8 @@ impl<I> Keyframer<I> {
         Some(best)
     }
 
-    fn of_set(&mut self, placed: Placed<I>) -> Keyframe<I> {
-        let Placed {
+    fn of_set(&mut self, placed: PosedFrameSet<I>) -> Keyframe<I> {
+        let PosedFrameSet {
             mut set,
             pose,
             stretch,

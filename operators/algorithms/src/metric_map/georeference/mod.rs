@@ -56,7 +56,7 @@ pub struct Placement {
 
 /// Why fixes place nothing.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Refused {
+pub enum PlacementError {
     /// Fewer than three.
     TooFew,
     /// They say where the map is, and not how it is turned: the drive was too short for their noise.
@@ -74,9 +74,9 @@ const GUESSES: usize = 500;
 /// Places a map by its fixes.
 ///
 /// # Errors
-/// [`Refused`] where they do not say where it is.
-pub fn placement(fixes: &[AntennaFix]) -> Result<Placement, Refused> {
-    let middle = middle(fixes).ok_or(Refused::TooFew)?;
+/// [`PlacementError`] where they do not say where it is.
+pub fn placement(fixes: &[AntennaFix]) -> Result<Placement, PlacementError> {
+    let middle = middle(fixes).ok_or(PlacementError::TooFew)?;
     let earth = middle.to_earth();
     let near = |fix: &&AntennaFix| (fix.earth.to_earth() - earth).norm() < FARTHEST_M;
     let near: Vec<AntennaFix> = fixes.iter().filter(near).copied().collect();
@@ -84,7 +84,7 @@ pub fn placement(fixes: &[AntennaFix]) -> Result<Placement, Refused> {
     let samples = samples(&kept, 0);
     let ground = Ground::new(&kept, Tangent::at(middle));
     let found = fitted(&samples, start, &|state| ground.linear(state));
-    let mut fit_now = found.ok_or(Refused::NoHeading)?;
+    let mut fit_now = found.ok_or(PlacementError::NoHeading)?;
     let mut up = height(&kept, middle);
     let mut origin = origin(middle, &fit_now, up.as_ref());
     // East and north turn from place to place, so the plane must touch the earth where the map begins.
@@ -98,7 +98,7 @@ pub fn placement(fixes: &[AntennaFix]) -> Result<Placement, Refused> {
             &|state| ground.linear(state),
             5,
         );
-        fit_now = again.ok_or(Refused::NoHeading)?;
+        fit_now = again.ok_or(PlacementError::NoHeading)?;
         up = height(&kept, origin);
         origin = self::origin(origin, &fit_now, up.as_ref());
     }
@@ -130,20 +130,20 @@ fn hidden_m2(fixes: &[AntennaFix], kind: usize, found: Option<&Fit>) -> f64 {
 fn believed(
     near: &[AntennaFix],
     middle: Geodetic,
-) -> Result<(Vec<AntennaFix>, DVector<f64>), Refused> {
+) -> Result<(Vec<AntennaFix>, DVector<f64>), PlacementError> {
     if near.len() < 3 {
-        return Err(Refused::TooFew);
+        return Err(PlacementError::TooFew);
     }
     let ground = Ground::new(near, Tangent::at(middle));
-    let start = ground.guess().ok_or(Refused::NoHeading)?;
+    let start = ground.guess().ok_or(PlacementError::NoHeading)?;
     let off = misfits(&samples(near, 0), start.clone(), &|state| {
         ground.linear(state)
     });
-    let off = off.ok_or(Refused::NoHeading)?;
+    let off = off.ok_or(PlacementError::NoHeading)?;
     let fine = near.iter().zip(off).filter(|(_, off)| *off <= OUTLIER);
     let kept: Vec<AntennaFix> = fine.map(|(fix, _)| *fix).collect();
     match kept.len() < 3 {
-        true => Err(Refused::TooFew),
+        true => Err(PlacementError::TooFew),
         false => Ok((kept, start)),
     }
 }
@@ -153,10 +153,10 @@ fn placed(
     origin: Geodetic,
     up: Option<&Fit>,
     far: usize,
-) -> Result<Placement, Refused> {
+) -> Result<Placement, PlacementError> {
     let of = |i: usize, j: usize| found.covariance[(i, j)];
     if of(0, 0).sqrt() > MOST_HEADING_SD {
-        return Err(Refused::NoHeading);
+        return Err(PlacementError::NoHeading);
     }
     #[rustfmt::skip]
     let covariance = Matrix3::new(

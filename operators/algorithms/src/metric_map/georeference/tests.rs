@@ -199,9 +199,9 @@ fn the_map_may_begin_far_from_the_fixes_and_beside_the_date_line() {
 
 #[test]
 fn what_does_not_say_where_the_map_is_places_nothing() {
-    assert_eq!(placement(&[]), Err(Refused::TooFew));
+    assert_eq!(placement(&[]), Err(PlacementError::TooFew));
     let fixes = drive(PERFECT, 1, 0.0, 1);
-    assert_eq!(placement(&fixes[..2]), Err(Refused::TooFew));
+    assert_eq!(placement(&fixes[..2]), Err(PlacementError::TooFew));
     let standing: Vec<AntennaFix> = fixes
         .iter()
         .map(|fix| AntennaFix {
@@ -210,13 +210,13 @@ fn what_does_not_say_where_the_map_is_places_nothing() {
             ..*fix
         })
         .collect();
-    assert_eq!(placement(&standing), Err(Refused::NoHeading));
+    assert_eq!(placement(&standing), Err(PlacementError::NoHeading));
     let receiver = Receiver {
         noise_m: 5.0,
         ..PERFECT
     };
     let short = drive(receiver, 1, 0.0, 1);
-    assert_eq!(placement(&short[..10]), Err(Refused::NoHeading));
+    assert_eq!(placement(&short[..10]), Err(PlacementError::NoHeading));
 }
 
 #[test]

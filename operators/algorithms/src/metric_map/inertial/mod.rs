@@ -40,7 +40,7 @@ pub struct ImuSample {
 
 /// Why an IMU says nothing of up.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Refused {
+pub enum InertialError {
     /// It was silent for most of the drive.
     Silent,
     /// What it feels is not gravity: another unit, or gravity taken out.
@@ -77,22 +77,22 @@ const TURNS: f64 = 0.05;
 /// pose keeps its place and its heading.
 ///
 /// # Errors
-/// [`Refused`] where the IMU cannot be believed.
+/// [`InertialError`] where the IMU cannot be believed.
 pub fn upright(
     odometry: &[(i64, Pose)],
     imu: &[ImuSample],
     vehicle_from_imu: &Pose,
-) -> Result<Vec<Pose>, Refused> {
+) -> Result<Vec<Pose>, InertialError> {
     let path = Path::new(odometry);
     let samples = motion::on_vehicle(imu, &vehicle_from_imu.rotation);
     let motions = motion::between(&path.stamps, &samples, &Vector3::zeros());
     let covered = motions.iter().flatten().count();
     if covered == 0 || 2 * covered < motions.len() {
-        return Err(Refused::Silent);
+        return Err(InertialError::Silent);
     }
     let turns = path.turns(&motions);
     if turns.differ() {
-        return Err(Refused::TurnsOtherwise);
+        return Err(InertialError::TurnsOtherwise);
     }
     // Legs are short, and made as if gyroscopes were right: what they say at rest is taken off until nothing is left.
     let mut bias = Vector3::z() * turns.bias();
@@ -100,7 +100,7 @@ pub fn upright(
     let (legs, gravities, motions) = loop {
         let motions = motion::between(&path.stamps, &samples, &bias);
         let legs = path.legs(&motions, &vehicle_from_imu.translation);
-        let gravities = gravity::smoothed(&legs).ok_or(Refused::Silent)?;
+        let gravities = gravity::smoothed(&legs).ok_or(InertialError::Silent)?;
         let left: Vector3<f64> = gravities.iter().map(|(_, bias)| bias).sum();
         let left = left / gravities.len() as f64;
         rounds += 1;
@@ -112,12 +112,12 @@ pub fn upright(
     let strength = gravities.iter().map(|(gravity, _)| gravity.norm());
     let strength = strength.sum::<f64>() / gravities.len() as f64;
     if (strength / GRAVITY_MPS2 - 1.0).abs() > GRAVITY_SHARE {
-        return Err(Refused::NoGravity);
+        return Err(InertialError::NoGravity);
     }
     let ups = path.ups(&legs, &gravities, &motions);
     let upright = ups.iter().filter(|up| up.z > UPRIGHT).count();
     if 2 * upright < ups.len() {
-        return Err(Refused::NotUpright);
+        return Err(InertialError::NotUpright);
     }
     Ok(laid(odometry, &ups))
 }

@@ -189,10 +189,10 @@ fn an_imu_that_makes_no_sense_is_refused() {
     let good = imu(&truth, &mount(), 30.0, NOISE, 0.0);
     let upside_down = Pose::new(Vector3::zeros(), so3::exp(&Vector3::new(3.1, 0.0, 0.0)));
     let refused = |imu: &[ImuSample], mount: &Pose| upright(&odometry, imu, mount).unwrap_err();
-    assert_eq!(refused(&good[..900], &mount()), Refused::Silent);
-    assert_eq!(refused(&[], &mount()), Refused::Silent);
+    assert_eq!(refused(&good[..900], &mount()), InertialError::Silent);
+    assert_eq!(refused(&[], &mount()), InertialError::Silent);
     let turned = mount().compose(&upside_down);
-    assert_eq!(refused(&good, &turned), Refused::TurnsOtherwise);
+    assert_eq!(refused(&good, &turned), InertialError::TurnsOtherwise);
     let changed = |change: &dyn Fn(Vector3<f64>) -> Vector3<f64>| {
         let change = |sample: &ImuSample| ImuSample {
             specific_force: change(sample.specific_force),
@@ -201,10 +201,10 @@ fn an_imu_that_makes_no_sense_is_refused() {
         good.iter().map(change).collect::<Vec<_>>()
     };
     let in_g = changed(&|force| force / GRAVITY_MPS2);
-    assert_eq!(refused(&in_g, &mount()), Refused::NoGravity);
+    assert_eq!(refused(&in_g, &mount()), InertialError::NoGravity);
     let left_handed = changed(&|force| -force);
-    assert_eq!(refused(&left_handed, &mount()), Refused::NotUpright);
-    assert_eq!(upright(&[], &good, &mount()), Err(Refused::Silent));
+    assert_eq!(refused(&left_handed, &mount()), InertialError::NotUpright);
+    assert_eq!(upright(&[], &good, &mount()), Err(InertialError::Silent));
 }
 
 #[test]

@@ -54,12 +54,12 @@ const MOST_PLACES: usize = 64;
 const MOST_ELSEWHERE: usize = 65_536;
 
 /// A descriptor, and the landmark that looks like it.
-type Look = (Words, u32);
+type LandmarkDescriptor = (Words, u32);
 
 /// All looks of a map, to be searched as a whole.
 pub(super) struct Evidence<'a> {
     localiser: &'a Localiser<'a>,
-    known: Vec<Look>,
+    known: Vec<LandmarkDescriptor>,
     /// Every so many landmarks are among the known ones.
     step: usize,
 }
@@ -141,7 +141,7 @@ impl<'a> Evidence<'a> {
     }
 
     /// What is known of the whole map, and of what should be in view all.
-    fn with_those_in_view(&self, fix: &Fix) -> Cow<'_, [Look]> {
+    fn with_those_in_view(&self, fix: &Fix) -> Cow<'_, [LandmarkDescriptor]> {
         if self.step == 1 {
             return Cow::Borrowed(&self.known);
         }
@@ -158,7 +158,7 @@ impl<'a> Evidence<'a> {
     }
 }
 
-fn looks(map: &LandmarkMap, landmark: usize) -> impl Iterator<Item = Look> {
+fn looks(map: &LandmarkMap, landmark: usize) -> impl Iterator<Item = LandmarkDescriptor> {
     let looks = map.landmarks()[landmark].descriptors.iter();
     looks.map(move |look| (words(look), landmark as u32))
 }
@@ -194,7 +194,12 @@ fn spread<T>(places: Vec<T>) -> impl Iterator<Item = T> {
 }
 
 /// The landmark that a feature clearly shows.
-fn recognised(map: &LandmarkMap, known: &[Look], feature: &Feature, most: u32) -> Option<usize> {
+fn recognised(
+    map: &LandmarkMap,
+    known: &[LandmarkDescriptor],
+    feature: &Feature,
+    most: u32,
+) -> Option<usize> {
     let bits = distances(known.iter().map(|(look, _)| look), &feature.descriptor);
     let (best, first) = bits.iter().enumerate().min_by_key(|(_, bits)| **bits)?;
     if *first > most {
@@ -202,7 +207,7 @@ fn recognised(map: &LandmarkMap, known: &[Look], feature: &Feature, most: u32) -
     }
     let shown = known[best].1 as usize;
     let place = map.landmarks()[shown].position;
-    let rival = |(bits, (_, other)): (&u32, &Look)| {
+    let rival = |(bits, (_, other)): (&u32, &LandmarkDescriptor)| {
         let alike = f64::from(*first) >= CLEARLY * f64::from(*bits);
         alike && (map.landmarks()[*other as usize].position - place).norm() > SAME_THING_M
     };

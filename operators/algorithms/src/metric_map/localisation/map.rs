@@ -2,7 +2,7 @@
 
 use super::LocalisationParams;
 use crate::metric_map::features::Descriptor;
-use crate::metric_map::visibility::{Seen, Visibility};
+use crate::metric_map::visibility::{ViewCone, Visibility};
 use nalgebra::Vector3;
 
 /// A landmark to be recognised.
@@ -39,7 +39,7 @@ impl MapLandmark {
 
     /// From where it may be recognised.
     pub(super) fn visibility(&self, params: &LocalisationParams) -> Visibility {
-        let seen = Seen {
+        let seen = ViewCone {
             view: self.view,
             view_cos: self.view_cos,
             ranges_m: [self.near_m, self.far_m],

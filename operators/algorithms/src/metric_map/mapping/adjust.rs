@@ -9,7 +9,7 @@ use super::{MapInput, MapObservation};
 use crate::geometry::pose::Pose;
 use crate::metric_map::association::{FeatureRef, Landmark, Scene};
 use crate::metric_map::bundle_adjustment::{
-    Keyframe, Observation, Odometry, Options, Problem, Residual, Session, residuals, solve,
+    Keyframe, Observation, Odometry, Options, Problem, Residual, SessionState, residuals, solve,
 };
 use crate::metric_map::features::FeatureNoise;
 use crate::metric_map::odometry::OdometryScale;
@@ -173,7 +173,7 @@ fn problem(
     let keyframes = scene.keyframes.iter().zip(poses).enumerate();
     Problem {
         rigs: scene.rigs.clone(),
-        sessions: (0..scene.rigs.len()).map(Session::new).collect(),
+        sessions: (0..scene.rigs.len()).map(SessionState::new).collect(),
         poses: keyframes.map(keyframe).collect(),
         landmarks: landmarks.iter().map(|landmark| landmark.point).collect(),
         observations: observations(scene, landmarks, params),

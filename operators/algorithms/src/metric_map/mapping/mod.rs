@@ -29,7 +29,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::geometry::pose::Pose;
 use crate::metric_map::association::{
-    AssociationParams, Described, FeatureRef, Landmark, Scene, associate,
+    AssociationParams, DescriptorSource, FeatureRef, Landmark, Scene, associate,
 };
 
 pub use adjust::{AdjustParams, Until};
@@ -135,10 +135,10 @@ pub struct Map {
 /// they are.
 ///
 /// # Errors
-/// As [`Described::descriptors`].
+/// As [`DescriptorSource::descriptors`].
 pub fn map<E: Send>(
     input: &MapInput<'_>,
-    described: &dyn Described<E>,
+    described: &dyn DescriptorSource<E>,
     params: &MappingParams,
 ) -> Result<Map, E> {
     let MapInput { scene, .. } = *input;

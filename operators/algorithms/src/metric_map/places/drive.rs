@@ -17,7 +17,7 @@ pub struct Drive<'a, E> {
     /// Its keyframes, by stamp.
     pub keyframes: Vec<DriveKeyframe>,
     /// What its cameras saw from them.
-    pub seen: &'a dyn Seen<E>,
+    pub seen: &'a dyn FeatureSource<E>,
     /// What its cameras followed.
     pub tracks: Vec<DriveTrack>,
 }
@@ -32,7 +32,7 @@ pub struct DriveKeyframe {
 }
 
 /// What the cameras of a drive saw: all in memory, or fetched when it is looked at. That may be several times.
-pub trait Seen<E>: Sync {
+pub trait FeatureSource<E>: Sync {
     /// The features of the keyframe of this index, in the rig's order.
     ///
     /// # Errors
@@ -59,7 +59,7 @@ pub(super) struct Bearing {
 }
 
 /// What is seen from one keyframe.
-pub(super) struct View<'a> {
+pub(super) struct KeyframeView<'a> {
     cameras: &'a [RigCamera],
     pub(super) features: Cow<'a, KeyframeFeatures>,
     /// By camera.
@@ -67,7 +67,7 @@ pub(super) struct View<'a> {
     sigma_px: f64,
 }
 
-impl View<'_> {
+impl KeyframeView<'_> {
     /// Where a feature is seen; none where there is no such feature, or the lens has no ray.
     pub(super) fn bearing(&self, camera: usize, feature: usize) -> Option<Bearing> {
         let feature = self.features.images.get(camera)?.features.get(feature)?;
@@ -77,7 +77,7 @@ impl View<'_> {
 }
 
 /// A point of a track: its keyframe, the track, and its place in the track.
-type Sighting = (u32, u32, u32);
+type TrackPointRef = (u32, u32, u32);
 
 /// What is worked out once for each drive.
 pub(super) struct Surveyed<'a, E> {
@@ -112,9 +112,9 @@ impl<'a, E> Surveyed<'a, E> {
         }
     }
 
-    pub(super) fn view(&self, keyframe: usize) -> Result<View<'a>, E> {
+    pub(super) fn view(&self, keyframe: usize) -> Result<KeyframeView<'a>, E> {
         let features = self.drive.seen.features(keyframe)?;
-        Ok(View {
+        Ok(KeyframeView {
             cameras: &self.drive.rig.cameras,
             blurs: features.images.iter().map(Blur::of_image).collect(),
             features,
@@ -134,7 +134,7 @@ impl<E: Send> Surveyed<'_, E> {
     pub(super) fn bearings(&self) -> Result<Vec<Vec<Option<Bearing>>>, E> {
         let tracks = &self.drive.tracks;
         let points = tracks.iter().map(|track| &track.points);
-        let mut sightings: Vec<Sighting> = (0..)
+        let mut sightings: Vec<TrackPointRef> = (0..)
             .zip(points)
             .flat_map(|(track, points)| {
                 let points = points.iter().zip(0..);
@@ -142,7 +142,7 @@ impl<E: Send> Surveyed<'_, E> {
             })
             .collect();
         sightings.sort_unstable();
-        let by_keyframe: Vec<&[Sighting]> = sightings.chunk_by(|a, b| a.0 == b.0).collect();
+        let by_keyframe: Vec<&[TrackPointRef]> = sightings.chunk_by(|a, b| a.0 == b.0).collect();
         let found: Vec<Vec<Option<Bearing>>> = by_keyframe
             .par_iter()
             .map(|sightings| self.bearings_of(sightings))
@@ -159,13 +159,13 @@ impl<E: Send> Surveyed<'_, E> {
     }
 
     /// Of the sightings from one keyframe; there are none from keyframes that the drive does not have.
-    fn bearings_of(&self, sightings: &[Sighting]) -> Result<Vec<Option<Bearing>>, E> {
+    fn bearings_of(&self, sightings: &[TrackPointRef]) -> Result<Vec<Option<Bearing>>, E> {
         let keyframe = sightings[0].0 as usize;
         if keyframe >= self.drive.keyframes.len() {
             return Ok(vec![None; sightings.len()]);
         }
         let view = self.view(keyframe)?;
-        let bearing = |(_, track, at): &Sighting| {
+        let bearing = |(_, track, at): &TrackPointRef| {
             let track = &self.drive.tracks[*track as usize];
             view.bearing(track.camera, track.points[*at as usize].1 as usize)
         };

@@ -5,7 +5,7 @@ use rayon::prelude::*;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::drive::{Drive, Surveyed, View};
+use super::drive::{Drive, KeyframeView, Surveyed};
 use super::index::PlaceIndex;
 use super::local_points::{LocalPoint, PointLimits, local_points};
 use super::verification::{KeyframePoints, verified};
@@ -187,13 +187,17 @@ impl<'a, E: Send> Site<'a, E> {
         })
     }
 
-    fn view(&self, document: usize) -> Result<View<'a>, E> {
+    fn view(&self, document: usize) -> Result<KeyframeView<'a>, E> {
         let (drive, keyframe) = self.documents[document];
         self.drives[drive].view(keyframe)
     }
 
     /// A document that is seen so, with its points.
-    fn with_points<'v>(&'v self, document: usize, view: &'v View<'v>) -> KeyframePoints<'v> {
+    fn with_points<'v>(
+        &'v self,
+        document: usize,
+        view: &'v KeyframeView<'v>,
+    ) -> KeyframePoints<'v> {
         let (drive, keyframe) = self.documents[document];
         KeyframePoints {
             mounts: &self.drives[drive].mounts,
@@ -278,7 +282,7 @@ impl<'a, E: Send> Site<'a, E> {
         &self,
         earlier: usize,
         later: usize,
-        seen: &View<'_>,
+        seen: &KeyframeView<'_>,
         guess: Option<&Pose>,
     ) -> Result<Option<Loop>, E> {
         let view = self.view(earlier)?;

@@ -15,7 +15,7 @@ mod tests;
 mod verification;
 mod vocabulary;
 
-pub use drive::{Drive, DriveKeyframe, DriveTrack, Seen};
+pub use drive::{Drive, DriveKeyframe, DriveTrack, FeatureSource};
 pub use index::{Hit, PlaceIndex};
 pub use loops::{Loop, LoopOptions, loops};
 pub use surface::{SurfaceOptions, SurfacePoint, surface_points};

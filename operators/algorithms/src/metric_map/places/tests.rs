@@ -169,7 +169,7 @@ impl Simulated {
         self.seen_by(rig, &self.features)
     }
 
-    fn seen_by<'a, E>(&'a self, rig: &'a Rig, seen: &'a dyn Seen<E>) -> Drive<'a, E> {
+    fn seen_by<'a, E>(&'a self, rig: &'a Rig, seen: &'a dyn FeatureSource<E>) -> Drive<'a, E> {
         let keyframes = self.odometry.iter().zip(0..);
         let keyframes = keyframes.map(|(pose, i)| DriveKeyframe {
             stamp: self.first_stamp + i,
@@ -185,7 +185,7 @@ impl Simulated {
 }
 
 /// All in memory, by keyframe.
-impl<E> Seen<E> for Vec<KeyframeFeatures> {
+impl<E> FeatureSource<E> for Vec<KeyframeFeatures> {
     fn features(&self, keyframe: usize) -> Result<Cow<'_, KeyframeFeatures>, E> {
         let features = self.get(keyframe).map(Cow::Borrowed);
         Ok(features.unwrap_or_default())
@@ -198,7 +198,7 @@ struct Copied<'a> {
     missing: Option<usize>,
 }
 
-impl Seen<String> for Copied<'_> {
+impl FeatureSource<String> for Copied<'_> {
     fn features(&self, keyframe: usize) -> Result<Cow<'_, KeyframeFeatures>, String> {
         if self.missing == Some(keyframe) {
             return Err(format!("no features of {keyframe}"));

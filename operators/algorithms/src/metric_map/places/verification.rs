@@ -2,7 +2,7 @@
 
 use nalgebra::{Matrix6, UnitQuaternion};
 
-use super::drive::View;
+use super::drive::KeyframeView;
 use super::local_points::LocalPoint;
 use super::loops::LoopOptions;
 use crate::geometry::lie::{se3, so3};
@@ -24,7 +24,7 @@ const MAX_DISAGREEMENT: f64 = 22.5;
 pub(super) struct KeyframePoints<'a> {
     /// `vehicle_from_camera`, in the rig's order.
     pub(super) mounts: &'a [Pose],
-    pub(super) view: &'a View<'a>,
+    pub(super) view: &'a KeyframeView<'a>,
     pub(super) points: &'a [LocalPoint],
 }
 

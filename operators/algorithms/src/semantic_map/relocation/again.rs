@@ -8,7 +8,7 @@ use std::cmp::Reverse;
 use std::collections::BinaryHeap;
 
 use super::description::Description;
-use super::level::{Found, Level};
+use super::level::{Level, RankedHit};
 use super::tree::Tree;
 use super::view_map::{Best, Hit, Query, ViewMap};
 use crate::processor::vectorised;
@@ -106,7 +106,7 @@ impl Again<'_> {
     }
 
     /// With areas of any size, at the heading that matches tell: of large areas, then of all.
-    pub(super) fn compared(&self, bounded: &Bounded, tree: &mut Tree) -> Option<Found> {
+    pub(super) fn compared(&self, bounded: &Bounded, tree: &mut Tree) -> Option<RankedHit> {
         let (view, large) = (bounded.view, &self.map.large);
         let pair = large.pair(&self.query.large, view, bounded.turn)?;
         let turn = pair.fitted_turn(large.grown(&pair, tree));

@@ -115,7 +115,7 @@ impl Bounds {
 
     /// An area of the query beside those of a block.
     #[inline(always)]
-    fn seen(&self, code: &AreaCode, block: &Block) -> Seen {
+    fn seen(&self, code: &AreaCode, block: &Block) -> BlockComparison {
         let likeness = self.measure.likeness(code, block);
         let (mut apart, mut bits) = ([0; LANES], [0; LANES]);
         for (lane, (apart, bit)) in apart.iter_mut().zip(&mut bits).enumerate() {
@@ -123,7 +123,7 @@ impl Bounds {
             let tells = self.headings.may_tell(likeness[lane], *apart);
             *bit = u16::from(tells).wrapping_neg() & (1 << lane);
         }
-        Seen {
+        BlockComparison {
             likeness,
             apart,
             lanes: bits.iter().fold(0, |lanes, bit| lanes | bit),
@@ -156,7 +156,7 @@ impl Bounds {
 }
 
 /// An area of the query beside those of a block.
-struct Seen {
+struct BlockComparison {
     likeness: [u16; LANES],
     /// How far each lies to the right: `2^16` is a full turn.
     apart: [u16; LANES],
@@ -164,7 +164,7 @@ struct Seen {
     lanes: u16,
 }
 
-impl Seen {
+impl BlockComparison {
     /// Leaves out the lanes that are not in a range.
     #[inline(always)]
     fn keep(&mut self, first: usize, end: usize) {

@@ -1,7 +1,7 @@
 //! Views searched by counting matches, as paper 2 does: the tree `interpretation`, view by view.
 
 use super::interpretation::{InterpretationTree, Shapes};
-use super::level::Found;
+use super::level::RankedHit;
 use super::options::Options;
 use super::similarity;
 use super::view_map::{Best, Hit};
@@ -59,9 +59,9 @@ impl CountedViews {
         tree.pairs()
     }
 
-    fn found(&self, query: &Shapes, view: u32, tree: &mut InterpretationTree) -> Option<Found> {
+    fn found(&self, query: &Shapes, view: u32, tree: &mut InterpretationTree) -> Option<RankedHit> {
         let matched = tree.grow(query, self.views.get(view as usize)?);
-        Some(Found::new(matched, matched, view, 0))
+        Some(RankedHit::new(matched, matched, view, 0))
     }
 
     fn hit(&self, query: &Shapes, view: u32, tree: &mut InterpretationTree) -> Option<Hit> {

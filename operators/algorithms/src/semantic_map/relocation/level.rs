@@ -109,22 +109,22 @@ impl Level {
         self.arch.dispatch(Growing { pair, rules, tree })
     }
 
-    pub(super) fn found(&self, pair: Pair<'_>, view: u32, tree: &mut Tree) -> Found {
+    pub(super) fn found(&self, pair: Pair<'_>, view: u32, tree: &mut Tree) -> RankedHit {
         let grown = self.grown(&pair, tree);
-        Found::new(grown.evidence, grown.pairs.len() as u32, view, pair.turn)
+        RankedHit::new(grown.evidence, grown.pairs.len() as u32, view, pair.turn)
     }
 }
 
 /// A hit before it is reported; the best first.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
-pub(super) struct Found {
+pub(super) struct RankedHit {
     rank: (Reverse<u32>, Reverse<u32>),
     pub(super) view: u32,
     /// `2^16` is a full turn.
     pub(super) turn: u16,
 }
 
-impl Found {
+impl RankedHit {
     pub(super) fn new(evidence: u32, matched: u32, view: u32, turn: u16) -> Self {
         Self {
             rank: (Reverse(evidence), Reverse(matched)),

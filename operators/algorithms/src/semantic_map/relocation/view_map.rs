@@ -9,7 +9,7 @@ use super::bounds::Bounds;
 use super::counted::CountedViews;
 use super::description::{Description, order, order_in_map};
 use super::interpretation::Shapes;
-use super::level::{Found, Level};
+use super::level::{Level, RankedHit};
 use super::options::{Options, TreeKind};
 use super::similarity;
 use super::tree::Tree;
@@ -181,7 +181,7 @@ impl ViewMap {
         }
         let turns = self.turns.iter();
         let found = turns.filter_map(|turn| self.found(query, view, *turn, &mut tree));
-        let few = |found: &Found| found.matched() < self.options.min_matched;
+        let few = |found: &RankedHit| found.matched() < self.options.min_matched;
         let best = found.min_by_key(|found| (few(found), *found));
         best.map(|found| self.hit(query, &found))
     }
@@ -214,12 +214,12 @@ impl ViewMap {
         })
     }
 
-    fn found(&self, query: &Query, view: u32, turn: u16, tree: &mut Tree) -> Option<Found> {
+    fn found(&self, query: &Query, view: u32, turn: u16, tree: &mut Tree) -> Option<RankedHit> {
         let pair = self.large.pair(&query.large, view, turn)?;
         Some(self.large.found(pair, view, tree))
     }
 
-    fn hit(&self, query: &Query, found: &Found) -> Hit {
+    fn hit(&self, query: &Query, found: &RankedHit) -> Hit {
         let matched = found.matched();
         let weight = query.decisive().weight();
         let most = f64::from(weight) * f64::from(self.large.measure.limit);
@@ -267,7 +267,7 @@ fn candidates(bounds: &[u32], headings: usize, range: Range<u32>) -> Vec<Candida
 
 /// The best views so far, sorted, each once.
 pub(super) struct Best {
-    found: Vec<Found>,
+    found: Vec<RankedHit>,
     top: usize,
     min_matched: u32,
 }
@@ -291,7 +291,7 @@ impl Best {
                     .is_some_and(|worst| worst.evidence() > bound)
     }
 
-    pub(super) fn add(&mut self, found: Option<Found>) {
+    pub(super) fn add(&mut self, found: Option<RankedHit>) {
         let Some(found) = found.filter(|found| found.matched() >= self.min_matched) else {
             return;
         };
@@ -306,7 +306,7 @@ impl Best {
         self.found.truncate(self.top);
     }
 
-    pub(super) fn into_found(self) -> Vec<Found> {
+    pub(super) fn into_found(self) -> Vec<RankedHit> {
         self.found
     }
 

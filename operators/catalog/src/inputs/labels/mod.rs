@@ -6,7 +6,7 @@ mod placing;
 
 use std::collections::BTreeMap;
 
-use evermap_algorithms::labels::folding::{Act, Folded, Said, folded};
+use evermap_algorithms::labels::folding::{self, Act, FoldedLabels, folded};
 use evermap_algorithms::labels::shapes::{MOST_POINTS, crossing, is_box};
 use evermap_contract::Reason;
 use evermap_schemas::layers::LabelAnchor;
@@ -81,7 +81,7 @@ fn current<'a>(acts: &'a [Annotation], tell: Tell<'_>) -> Vec<Current<'a>> {
             Err(reason) => tell(reason, 1),
         }
     }
-    let Folded {
+    let FoldedLabels {
         labels,
         conflicts,
         strays,
@@ -101,7 +101,7 @@ fn current<'a>(acts: &'a [Annotation], tell: Tell<'_>) -> Vec<Current<'a>> {
 }
 
 /// An act as it is folded; an outline that makes no sense is left out with its act.
-fn read(row: &Annotation) -> Result<Said<'_>, Reason> {
+fn read(row: &Annotation) -> Result<folding::Annotation<'_>, Reason> {
     if row.points.len() > MOST_POINTS {
         return Err("label with more than 4096 points".into());
     }
@@ -114,7 +114,7 @@ fn read(row: &Annotation) -> Result<Said<'_>, Reason> {
         }
         _ => {}
     }
-    Ok(Said {
+    Ok(folding::Annotation {
         label: &row.id,
         stamp: row.stamp.0,
         author: &row.author,

@@ -5,7 +5,7 @@ use std::path::Path;
 
 use evermap_schemas::Fault;
 
-use super::{Canvas, Drawn, Pixel, Program, Said};
+use super::{Canvas, DrawnShape, PictureAnnotations, Pixel, Program};
 use crate::annotate::Losses;
 
 /// Boxes on several pictures.
@@ -49,7 +49,7 @@ impl Program {
                 "expected COCO, CVAT or Label Studio, found YOLO's boxes, which do not name their image",
             ));
         }
-        let Said {
+        let PictureAnnotations {
             drawn,
             seen,
             mut unread,
@@ -77,7 +77,7 @@ impl Program {
 }
 
 /// Whether there are points, all of them finite.
-fn is_somewhere(drawn: &Drawn) -> bool {
+fn is_somewhere(drawn: &DrawnShape) -> bool {
     let points = drawn.shape.points();
     !points.is_empty() && points.iter().flatten().all(|value| value.is_finite())
 }

@@ -6,9 +6,10 @@ use evermap_algorithms::ground::boxes::area;
 use evermap_schemas::Fault;
 use serde_json::{Value, json};
 
-use super::described::{Canvas, Described, OF_ANOTHER, which_are};
+use super::described::{Canvas, DescribedPicture, OF_ANOTHER, which_are};
 use super::{
-    Drawn, NAME, NO_SHAPE, Rectangle, Said, Shape, degrees, kinds, listed, numbers, written,
+    DrawnShape, NAME, NO_SHAPE, PictureAnnotations, Rectangle, Shape, degrees, kinds, listed,
+    numbers, written,
 };
 use crate::annotate::Losses;
 use crate::annotate::geojson::text;
@@ -20,7 +21,11 @@ use crate::annotate::mosaic::Picture;
 /// # Errors
 /// A user fault for a file without lists of pictures and annotations, annotations of other pictures alone, and pictures or
 /// categories that have an id in common.
-pub(super) fn read(value: &Value, canvases: &[Canvas], losses: &mut Losses) -> Result<Said, Fault> {
+pub(super) fn read(
+    value: &Value,
+    canvases: &[Canvas],
+    losses: &mut Losses,
+) -> Result<PictureAnnotations, Fault> {
     let list = |name: &str| listed(value, name)?.ok_or_else(|| lacking(name));
     let (pictures, annotations) = (list("images")?, list("annotations")?);
     let categories = listed(value, "categories")?.unwrap_or_default();
@@ -29,7 +34,7 @@ pub(super) fn read(value: &Value, canvases: &[Canvas], losses: &mut Losses) -> R
     if pictures.is_empty() {
         of_one(annotations)?;
     }
-    let described: Vec<Described> = pictures.iter().map(described).collect();
+    let described: Vec<DescribedPicture> = pictures.iter().map(described).collect();
     let chosen = which_are(canvases, &described, losses)?;
     let chosen = pictures.iter().zip(chosen);
     let chosen: Vec<(&Value, usize)> = chosen
@@ -41,7 +46,7 @@ pub(super) fn read(value: &Value, canvases: &[Canvas], losses: &mut Losses) -> R
         _ => chosen.iter().find(|(of, _)| *of == id).map(|(_, at)| *at),
     };
     let is_known = |id: &Value| pictures.iter().any(|picture| picture["id"] == *id);
-    let mut said = Said {
+    let mut said = PictureAnnotations {
         drawn: Vec::new(),
         seen: chosen.iter().map(|(_, at)| *at).collect(),
         unread: BTreeSet::new(),
@@ -65,7 +70,7 @@ pub(super) fn read(value: &Value, canvases: &[Canvas], losses: &mut Losses) -> R
                     losses.note(BOX_OF, &place);
                 }
                 let name = text(&annotation["attributes"][NAME]);
-                let drawn = Drawn::said(place, kind, shape);
+                let drawn = DrawnShape::said(place, kind, shape);
                 said.drawn.push(drawn.called(name).on(at));
             }
             Err(reason) => {
@@ -150,8 +155,8 @@ fn distinct(what: &str, list: &[Value], name: &str) -> Result<(), Fault> {
     Ok(())
 }
 
-fn described(picture: &Value) -> Described {
-    Described {
+fn described(picture: &Value) -> DescribedPicture {
+    DescribedPicture {
         id: Some(picture["id"].to_string()),
         name: text(&picture["file_name"]),
         size: ["width", "height"].map(|name| written(&picture[name])),
@@ -180,7 +185,7 @@ fn closed(outline: &Value) -> Option<Shape> {
 }
 
 /// Outlines, with the boxes around them.
-pub(super) fn write(drawn: &[Drawn], picture: &Picture) -> String {
+pub(super) fn write(drawn: &[DrawnShape], picture: &Picture) -> String {
     let kinds = kinds(drawn);
     let annotations = drawn.iter().enumerate().map(|(number, drawn)| {
         let points = drawn.shape.points();

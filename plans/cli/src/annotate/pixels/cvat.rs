@@ -6,8 +6,8 @@ use std::fmt::Write;
 use evermap_schemas::Fault;
 use roxmltree::{Document, Node};
 
-use super::described::{Canvas, Described, OF_ANOTHER, which_are};
-use super::{Drawn, NAME, Pixel, Rectangle, Said, Shape, TURNED};
+use super::described::{Canvas, DescribedPicture, OF_ANOTHER, which_are};
+use super::{DrawnShape, NAME, PictureAnnotations, Pixel, Rectangle, Shape, TURNED};
 use crate::annotate::Losses;
 use crate::annotate::mosaic::Picture;
 
@@ -16,7 +16,11 @@ use crate::annotate::mosaic::Picture;
 ///
 /// # Errors
 /// A user fault for what is no XML, no annotations of images, or those of other pictures alone.
-pub(super) fn read(text: &str, canvases: &[Canvas], losses: &mut Losses) -> Result<Said, Fault> {
+pub(super) fn read(
+    text: &str,
+    canvases: &[Canvas],
+    losses: &mut Losses,
+) -> Result<PictureAnnotations, Fault> {
     let document = Document::parse(text)
         .map_err(|error| Fault::user(format!("expected XML of CVAT, found {error}")))?;
     let root = document.root_element();
@@ -34,9 +38,9 @@ pub(super) fn read(text: &str, canvases: &[Canvas], losses: &mut Losses) -> Resu
     }
     let pictures = root.children().filter(|node| node.has_tag_name("image"));
     let pictures: Vec<Node<'_, '_>> = pictures.collect();
-    let described: Vec<Described> = pictures.iter().map(described).collect();
+    let described: Vec<DescribedPicture> = pictures.iter().map(described).collect();
     let chosen = which_are(canvases, &described, losses)?;
-    let mut said = Said {
+    let mut said = PictureAnnotations {
         drawn: Vec::new(),
         seen: chosen.iter().flatten().copied().collect(),
         unread: BTreeSet::new(),
@@ -55,7 +59,7 @@ pub(super) fn read(text: &str, canvases: &[Canvas], losses: &mut Losses) -> Resu
                         losses.note(BOX_OF, &place);
                     }
                     let kind = node.attribute("label").map(str::to_owned);
-                    let drawn = Drawn::said(place, kind, shape);
+                    let drawn = DrawnShape::said(place, kind, shape);
                     said.drawn.push(drawn.called(name(node)).on(at));
                 }
                 Err(reason) => {
@@ -86,9 +90,9 @@ fn name(shape: Node<'_, '_>) -> Option<String> {
     Some(found.text()?.trim().to_owned())
 }
 
-fn described(picture: &Node<'_, '_>) -> Described {
+fn described(picture: &Node<'_, '_>) -> DescribedPicture {
     let attribute = |name: &str| picture.attribute(name).map(str::to_owned);
-    Described {
+    DescribedPicture {
         id: attribute("id"),
         name: attribute("name"),
         size: ["width", "height"].map(attribute),
@@ -142,7 +146,7 @@ fn points(node: Node<'_, '_>) -> Option<Vec<Pixel>> {
 }
 
 /// One picture with its shapes.
-pub(super) fn write(drawn: &[Drawn], picture: &Picture) -> String {
+pub(super) fn write(drawn: &[DrawnShape], picture: &Picture) -> String {
     let [width, height] = picture.size;
     let mut text = String::from(
         "<?xml version=\"1.0\" encoding=\"utf-8\"?>\n<annotations>\n  <version>1.1</version>\n",

@@ -18,7 +18,7 @@ pub struct Canvas {
 
 /// A picture as a file describes it.
 #[derive(Debug, Clone, PartialEq)]
-pub(super) struct Described {
+pub(super) struct DescribedPicture {
     /// What tells it in its file from another one of the same name; `None` where nothing does, and it is the same.
     pub(super) id: Option<String>,
     /// Its file, as the program knows it: a name, a path or an address. `None` where nothing is said.
@@ -34,10 +34,10 @@ pub(super) struct Described {
 /// A user fault where no picture is one of these, several may be the same one, or what is to be one has another size.
 pub(super) fn which_are(
     canvases: &[Canvas],
-    described: &[Described],
+    described: &[DescribedPicture],
     losses: &mut Losses,
 ) -> Result<Vec<Option<usize>>, Fault> {
-    let called = |one: &Described| {
+    let called = |one: &DescribedPicture| {
         let name = one.name.as_deref()?;
         canvases
             .iter()
@@ -77,13 +77,13 @@ pub(super) fn which_are(
 /// A user fault with two of them, where nothing tells which is meant.
 fn tell_apart(
     (number, canvas): (usize, &Canvas),
-    described: &[Described],
+    described: &[DescribedPicture],
     chosen: &mut [Option<usize>],
 ) -> Result<(), Fault> {
-    let is_it = |one: &Described| one.name.as_ref() == Some(&canvas.name);
+    let is_it = |one: &DescribedPicture| one.name.as_ref() == Some(&canvas.name);
     let alike = described.iter().zip(&*chosen);
     let alike = alike.filter(|(_, at)| **at == Some(number));
-    let mut alike: Vec<&Described> = alike.map(|(one, _)| one).collect();
+    let mut alike: Vec<&DescribedPicture> = alike.map(|(one, _)| one).collect();
     if alike.iter().any(|one| is_it(one)) {
         alike.retain(|one| is_it(one));
         for (one, at) in described.iter().zip(chosen) {
@@ -101,7 +101,7 @@ fn tell_apart(
     }
 }
 
-impl Described {
+impl DescribedPicture {
     /// Whether it is the same picture as another one.
     fn is_same(&self, other: &Self) -> bool {
         (&self.name, &self.id) == (&other.name, &other.id)
@@ -144,7 +144,7 @@ impl Described {
 /// What to do about another picture.
 const AS_DRAWN: &str = "name with --mosaic, or --images, what was drawn on";
 
-fn none_of(canvases: &[Canvas], described: &[Described]) -> Fault {
+fn none_of(canvases: &[Canvas], described: &[DescribedPicture]) -> Fault {
     let names = described.iter().filter_map(|one| one.name.as_deref());
     let found = evermap_language::listed(names);
     let text = match canvases {

@@ -3,8 +3,11 @@
 use evermap_schemas::Fault;
 use serde_json::{Value, json};
 
-use super::described::{Canvas, Described, OF_ANOTHER, is_file, which_are};
-use super::{Drawn, NAME, NO_SHAPE, Rectangle, Said, Shape, degrees, listed, numbers, written};
+use super::described::{Canvas, DescribedPicture, OF_ANOTHER, is_file, which_are};
+use super::{
+    DrawnShape, NAME, NO_SHAPE, PictureAnnotations, Rectangle, Shape, degrees, listed, numbers,
+    written,
+};
 use crate::annotate::Losses;
 use crate::annotate::geojson::text;
 use crate::annotate::mosaic::Picture;
@@ -14,7 +17,11 @@ use crate::annotate::mosaic::Picture;
 ///
 /// # Errors
 /// A user fault for JSON of another form, annotations that are no list, or results of other pictures alone.
-pub(super) fn read(tasks: &Value, canvases: &[Canvas], losses: &mut Losses) -> Result<Said, Fault> {
+pub(super) fn read(
+    tasks: &Value,
+    canvases: &[Canvas],
+    losses: &mut Losses,
+) -> Result<PictureAnnotations, Fault> {
     let tasks = tasks.as_array().map_or(&[][..], Vec::as_slice);
     if !tasks.iter().all(is_task) {
         return Err(Fault::user(
@@ -26,9 +33,9 @@ pub(super) fn read(tasks: &Value, canvases: &[Canvas], losses: &mut Losses) -> R
     let annotations: Vec<Vec<&Value>> = annotations.collect::<Result<_, _>>()?;
     let pictures = tasks.iter().zip(&annotations);
     let pictures = pictures.map(|(task, said)| described(task, said, canvases));
-    let pictures: Vec<Described> = pictures.collect();
+    let pictures: Vec<DescribedPicture> = pictures.collect();
     let chosen = which_are(canvases, &pictures, losses)?;
-    let mut said = Said::default();
+    let mut said = PictureAnnotations::default();
     for (task, (annotations, at)) in annotations.iter().zip(chosen).enumerate() {
         let of_task = annotations.iter().copied();
         let (read, unread): (Vec<&Value>, Vec<&Value>) =
@@ -53,7 +60,7 @@ pub(super) fn read(tasks: &Value, canvases: &[Canvas], losses: &mut Losses) -> R
             }
             match shape(result, canvas.size) {
                 Ok((kind, shape)) => {
-                    let drawn = Drawn::said(place, kind, shape);
+                    let drawn = DrawnShape::said(place, kind, shape);
                     said.drawn.push(drawn.called(name(&result["id"])).on(at));
                 }
                 Err(reason) => {
@@ -116,7 +123,7 @@ fn results<'v>(annotations: &[&'v Value]) -> impl Iterator<Item = &'v Value> {
 }
 
 /// The picture of a task, under whatever word the project has it, with the size that a result says.
-fn described(task: &Value, annotations: &[&Value], canvases: &[Canvas]) -> Described {
+fn described(task: &Value, annotations: &[&Value], canvases: &[Canvas]) -> DescribedPicture {
     let data = &task["data"];
     let texts = data.as_object().into_iter().flat_map(|data| data.values());
     let texts: Vec<&str> = texts.filter_map(Value::as_str).collect();
@@ -126,7 +133,7 @@ fn described(task: &Value, annotations: &[&Value], canvases: &[Canvas]) -> Descr
     let size =
         |result: &Value| ["original_width", "original_height"].map(|name| written(&result[name]));
     let mut sizes = results(annotations).map(size);
-    Described {
+    DescribedPicture {
         // Several tasks may be of one picture.
         id: None,
         name: name.or(texts.first().copied()).map(str::to_owned),
@@ -184,8 +191,8 @@ fn turned(value: &Value, form: &str, (size, degrees): ([u32; 2], f64)) -> Option
 }
 
 /// One task: labels as an annotation, proposals as a prediction with their probabilities as scores.
-pub(super) fn write(labels: &[Drawn], proposed: &[Drawn], picture: &Picture) -> String {
-    let results = |drawn: &[Drawn]| {
+pub(super) fn write(labels: &[DrawnShape], proposed: &[DrawnShape], picture: &Picture) -> String {
+    let results = |drawn: &[DrawnShape]| {
         let results = drawn.iter().enumerate();
         Value::Array(
             results
@@ -205,7 +212,7 @@ pub(super) fn write(labels: &[Drawn], proposed: &[Drawn], picture: &Picture) -> 
     format!("{:#}\n", json!([task]))
 }
 
-fn result(number: usize, drawn: &Drawn, picture: &Picture) -> Value {
+fn result(number: usize, drawn: &DrawnShape, picture: &Picture) -> Value {
     let [width, height] = picture.size;
     let percent = [100.0 / f64::from(width), 100.0 / f64::from(height)];
     let kind = drawn.kind.as_deref().unwrap_or_default();

@@ -19,7 +19,7 @@ use serde_json::Value;
 pub(super) use boxes::{Boxes, PictureBox};
 pub(super) use described::Canvas;
 
-use super::features::{Feature, Geometry};
+use super::features::{DrawnFeature, Geometry};
 use super::mosaic::Picture;
 use super::{Losses, is_blank};
 use crate::ending::Failure;
@@ -73,7 +73,7 @@ impl Program {
         text: &str,
         picture: &Picture,
         losses: &mut Losses,
-    ) -> Result<Vec<Feature>, Fault> {
+    ) -> Result<Vec<DrawnFeature>, Fault> {
         let canvas = Canvas {
             name: picture.name.clone(),
             size: picture.size,
@@ -92,7 +92,7 @@ impl Program {
         text: &str,
         canvases: &[Canvas],
         losses: &mut Losses,
-    ) -> Result<Said, Fault> {
+    ) -> Result<PictureAnnotations, Fault> {
         let json = || {
             serde_json::from_str(text)
                 .map_err(|error| Fault::user(format!("expected JSON, found {error}")))
@@ -105,7 +105,7 @@ impl Program {
                 let size = canvases.first().map(|canvas| canvas.size);
                 let size = size.unwrap_or_default();
                 let drawn = yolo::read(text, &yolo::classes(path)?, size, losses);
-                Ok(Said {
+                Ok(PictureAnnotations {
                     drawn,
                     seen: BTreeSet::from([0]),
                     unread: BTreeSet::new(),
@@ -129,7 +129,7 @@ impl Program {
         let labels = labels.iter().filter(|label| label.standing != "rejected");
         let mut drawn = Vec::new();
         for label in labels {
-            let seen = Drawn::of_label(label, picture);
+            let seen = DrawnShape::of_label(label, picture);
             match self.lacks(&seen) {
                 None if seen.is_in(picture.size) => drawn.push(seen),
                 None => losses.note("label outside of the picture", &seen.place),
@@ -137,8 +137,9 @@ impl Program {
             }
         }
         let proposed = proposed.iter();
-        let proposed = proposed.filter_map(|found| Drawn::of_hypothesis(found, picture));
-        let proposed: Vec<Drawn> = proposed.filter(|drawn| drawn.is_in(picture.size)).collect();
+        let proposed = proposed.filter_map(|found| DrawnShape::of_hypothesis(found, picture));
+        let proposed: Vec<DrawnShape> =
+            proposed.filter(|drawn| drawn.is_in(picture.size)).collect();
         match self {
             Self::Coco => Ok(coco::write(&drawn, picture)),
             Self::Cvat => Ok(cvat::write(&drawn, picture)),
@@ -148,7 +149,7 @@ impl Program {
     }
 
     /// Why a label cannot be said.
-    fn lacks(self, drawn: &Drawn) -> Option<&'static str> {
+    fn lacks(self, drawn: &DrawnShape) -> Option<&'static str> {
         let mut words = [&drawn.kind, &drawn.name].into_iter().flatten();
         // An older evermap took any text.
         if words.any(|word| !is_word(word)) {
@@ -166,8 +167,8 @@ impl Program {
 
 /// What a file says of pictures.
 #[derive(Debug, Default)]
-struct Said {
-    drawn: Vec<Drawn>,
+struct PictureAnnotations {
+    drawn: Vec<DrawnShape>,
     /// Those that somebody looked at, also where nothing is drawn on them.
     seen: BTreeSet<usize>,
     /// Those with a shape that could not be read.
@@ -176,7 +177,7 @@ struct Said {
 
 /// What is drawn on a picture.
 #[derive(Debug, Clone, PartialEq)]
-struct Drawn {
+struct DrawnShape {
     /// Which one, for people.
     place: String,
     /// The label that it is, where it says so.
@@ -288,7 +289,7 @@ impl Shape {
     }
 }
 
-impl Drawn {
+impl DrawnShape {
     /// What is there, and not only proposed.
     fn said(place: String, kind: Option<String>, shape: Shape) -> Self {
         Self {
@@ -347,10 +348,10 @@ impl Drawn {
         points.any(|point| (0..2).all(|axis| (0.0..=most[axis]).contains(&point[axis])))
     }
 
-    fn feature(self, picture: &Picture) -> Feature {
+    fn feature(self, picture: &Picture) -> DrawnFeature {
         let points = self.shape.points().into_iter();
         let points = points.map(|pixel| (picture.place(pixel), None)).collect();
-        Feature {
+        DrawnFeature {
             place: self.place,
             label: self.name,
             within_m: Some(SAME_PX * picture.pixel_m()),
@@ -368,7 +369,7 @@ impl Drawn {
 }
 
 /// Takes a name from all that have it, where several do: who copies a shape copies its name.
-fn disown_copies(drawn: &mut [Drawn]) {
+fn disown_copies(drawn: &mut [DrawnShape]) {
     let mut times: BTreeMap<String, usize> = BTreeMap::new();
     for name in drawn.iter().filter_map(|drawn| drawn.name.as_ref()) {
         *times.entry(name.clone()).or_default() += 1;
@@ -382,7 +383,7 @@ fn disown_copies(drawn: &mut [Drawn]) {
 }
 
 /// What is marked, each kind once, ascending.
-fn kinds(drawn: &[Drawn]) -> Vec<&str> {
+fn kinds(drawn: &[DrawnShape]) -> Vec<&str> {
     let kinds = drawn.iter().filter_map(|drawn| drawn.kind.as_deref());
     kinds.collect::<BTreeSet<&str>>().into_iter().collect()
 }

@@ -50,7 +50,7 @@ fn of_box([x, y]: [f64; 2], yaw: f64, [length, width]: [f64; 2]) -> Vec<[f64; 2]
     sides.map(corner).to_vec()
 }
 
-fn points(feature: &Feature) -> Vec<[f64; 2]> {
+fn points(feature: &DrawnFeature) -> Vec<[f64; 2]> {
     match feature.geometry.as_ref().unwrap() {
         Geometry::Closed(points) | Geometry::Open(points) => {
             points.iter().map(|(at, _)| *at).collect()
@@ -64,7 +64,7 @@ fn same(found: &[[f64; 2]], expected: &[[f64; 2]]) -> bool {
     found.len() == expected.len() && expected.iter().all(|b| found.iter().any(|a| near(a, b)))
 }
 
-fn round_trip(program: Program, labels: &[PlacedLabel]) -> (Vec<Feature>, Losses) {
+fn round_trip(program: Program, labels: &[PlacedLabel]) -> (Vec<DrawnFeature>, Losses) {
     let folder = tempfile::tempdir().unwrap();
     let picture = picture(folder.path());
     let path = folder.path().join(match program {
@@ -402,7 +402,7 @@ fn pictures_of_one_name_are_told_apart_or_refused_with_both() {
         let found = Program::of(path, text)
             .unwrap()
             .read(path, text, &picture, &mut losses);
-        let kinds = |found: Vec<Feature>| found.into_iter().map(|one| one.category.unwrap());
+        let kinds = |found: Vec<DrawnFeature>| found.into_iter().map(|one| one.category.unwrap());
         found.map(|found| (kinds(found).collect::<Vec<_>>(), losses.counts))
     };
     let size = [400, 300];

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use evermap_schemas::Fault;
 
-use super::{Drawn, Pixel, Shape, kinds};
+use super::{DrawnShape, Pixel, Shape, kinds};
 use crate::annotate::Losses;
 use crate::annotate::mosaic::Picture;
 use crate::ending::Failure;
@@ -42,7 +42,7 @@ pub(super) fn read(
     classes: &[String],
     size: [u32; 2],
     losses: &mut Losses,
-) -> Vec<Drawn> {
+) -> Vec<DrawnShape> {
     let lines = text.lines().enumerate();
     let lines = lines.filter(|(_, line)| !line.trim().is_empty());
     let mut found = Vec::new();
@@ -52,7 +52,7 @@ pub(super) fn read(
             Some((class, corners)) => {
                 let name = classes.get(class).cloned();
                 let kind = name.or_else(|| Some(class.to_string()));
-                found.push(Drawn::said(place, kind, Shape::Closed(corners)));
+                found.push(DrawnShape::said(place, kind, Shape::Closed(corners)));
             }
             None => losses.note("line that is not a class and four corners", &place),
         }
@@ -74,7 +74,11 @@ fn corners(line: &str, [width, height]: [u32; 2]) -> Option<(usize, Vec<Pixel>)>
 ///
 /// # Errors
 /// As [`classes`] and [`write_file`]; a user fault for boxes in the place of their classes.
-pub(super) fn write(drawn: &[Drawn], picture: &Picture, path: &Path) -> Result<String, Failure> {
+pub(super) fn write(
+    drawn: &[DrawnShape],
+    picture: &Picture,
+    path: &Path,
+) -> Result<String, Failure> {
     let beside = path.with_file_name(CLASSES);
     let name = path.file_name().unwrap_or_default();
     if name.eq_ignore_ascii_case(CLASSES) {
@@ -93,7 +97,7 @@ pub(super) fn write(drawn: &[Drawn], picture: &Picture, path: &Path) -> Result<S
         write_file(&beside, (names.join("\n") + "\n").as_bytes())?;
     }
     let [width, height] = picture.size.map(f64::from);
-    let line = |drawn: &Drawn| {
+    let line = |drawn: &DrawnShape| {
         let kind = drawn.kind.as_deref().unwrap_or_default().trim();
         let class = names.iter().position(|name| name == kind).unwrap_or(0);
         let corners = drawn.shape.points().into_iter();

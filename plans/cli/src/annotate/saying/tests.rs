@@ -37,9 +37,9 @@ fn space(label: &str, x: f64) -> PlacedLabel {
 }
 
 /// A space that is drawn there, on a picture if its pixels have a size.
-fn drawn(x: f64, within_m: Option<f64>) -> (Feature, (&'static str, Outline)) {
+fn drawn(x: f64, within_m: Option<f64>) -> (DrawnFeature, (&'static str, Outline)) {
     let corners = SPACE.map(|[along, y, z]| [x + along, y, z]);
-    let feature = Feature {
+    let feature = DrawnFeature {
         place: String::new(),
         label: None,
         within_m,

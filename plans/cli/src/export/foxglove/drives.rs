@@ -15,7 +15,7 @@ use foxglove::messages::{
 };
 
 use super::messages::{MAP, VERMILION, color, pose, rotation, time, vector};
-use super::{Said, What};
+use super::{TopicMessage, What};
 use crate::earth::{Earth, SiteOnEarth};
 use crate::reader::MapReader;
 
@@ -54,7 +54,7 @@ pub(super) async fn said(
     reader: &MapReader,
     site: &str,
     poses: Vec<VehiclePose>,
-) -> Result<Vec<Said>, Fault> {
+) -> Result<Vec<TopicMessage>, Fault> {
     let mut sessions: BTreeMap<String, Vec<VehiclePose>> = BTreeMap::new();
     for row in poses {
         sessions.entry(row.session.clone()).or_default().push(row);
@@ -85,7 +85,7 @@ pub(super) async fn said(
                 frame(session, &mount.child),
                 &mount.parent_from_child,
             );
-            all.push(Said::new(first, "/tf", &message)?.for_good());
+            all.push(TopicMessage::new(first, "/tf", &message)?.for_good());
         }
     }
     let mut frames = BTreeMap::new();
@@ -97,11 +97,11 @@ pub(super) async fn said(
         if let Some(mount) = &row.mount {
             let parent = frame(&row.session, &mount.frame);
             let message = transform(*first, parent, frame_id.clone(), &mount.frame_from_camera);
-            all.push(Said::new(*first, "/tf", &message)?.for_good());
+            all.push(TopicMessage::new(*first, "/tf", &message)?.for_good());
         }
         if let Some(message) = calibration(&row, frame_id.clone(), *first) {
             let topic = format!("{}/calibration", topic(&row.session, &row.camera));
-            all.push(Said::new(*first, topic, &message)?.for_good());
+            all.push(TopicMessage::new(*first, topic, &message)?.for_good());
         }
         frames.insert((row.session, row.camera), frame_id);
     }
@@ -132,13 +132,17 @@ fn transform(stamp: i64, parent: String, child: String, of: &Pose) -> FrameTrans
 }
 
 /// What was driven. A frame has one parent, so what moves in the map is what carries the vehicle.
-fn driven(session: &str, poses: &[VehiclePose], footing: &Footing) -> Result<Vec<Said>, Fault> {
+fn driven(
+    session: &str,
+    poses: &[VehiclePose],
+    footing: &Footing,
+) -> Result<Vec<TopicMessage>, Fault> {
     let moved = |row: &VehiclePose| {
         let child = frame(session, &footing.root);
         let map_from_root = carried(&row.map_from_vehicle, footing)
             .map_err(|error| Fault::data(error.to_string()).at(session))?;
         let message = transform(row.stamp.0, MAP.to_owned(), child, &map_from_root);
-        Said::new(row.stamp.0, "/tf", &message)
+        TopicMessage::new(row.stamp.0, "/tf", &message)
     };
     let mut all = poses.iter().map(moved).collect::<Result<Vec<_>, _>>()?;
     let first = poses.first().map_or(0, |row| row.stamp.0);
@@ -151,7 +155,7 @@ fn driven(session: &str, poses: &[VehiclePose], footing: &Footing) -> Result<Vec
             .collect(),
     };
     let topic = format!("/trajectory/{session}");
-    all.push(Said::new(first, topic, &trajectory)?.for_good());
+    all.push(TopicMessage::new(first, topic, &trajectory)?.for_good());
     Ok(all)
 }
 
@@ -171,7 +175,7 @@ fn locations(
     poses: &[VehiclePose],
     vehicle: &str,
     place: &SiteOnEarth,
-) -> Result<Vec<Said>, Fault> {
+) -> Result<Vec<TopicMessage>, Fault> {
     let located = |row: &VehiclePose| {
         let at = &row.map_from_vehicle;
         let found = place.geodetic([at.x, at.y, at.z]);
@@ -183,7 +187,7 @@ fn locations(
             altitude: found.height_m,
             ..LocationFix::default()
         };
-        Said::new(row.stamp.0, format!("/location/{session}"), &message)
+        TopicMessage::new(row.stamp.0, format!("/location/{session}"), &message)
     };
     poses.iter().map(located).collect()
 }
@@ -231,7 +235,7 @@ fn images(
     keyframes: Vec<Keyframe>,
     frames: &BTreeMap<(String, String), String>,
     is_driven: impl Fn(&String) -> bool,
-) -> Vec<Said> {
+) -> Vec<TopicMessage> {
     let of_session = keyframes.into_iter().filter(|row| is_driven(&row.session));
     let images = of_session.flat_map(|row| {
         let session = row.session;
@@ -245,7 +249,7 @@ fn images(
                     .unwrap_or_else(|| frame(&session, &image.camera)),
                 reference: image.image,
             };
-            Said::of(image.stamp.0, topic, What::Image(Box::new(picture)))
+            TopicMessage::of(image.stamp.0, topic, What::Image(Box::new(picture)))
         })
     });
     images.collect()
@@ -255,7 +259,7 @@ fn images(
 fn annotations(
     people: Vec<Person>,
     is_driven: impl Fn(&String) -> bool,
-) -> Result<Vec<Said>, Fault> {
+) -> Result<Vec<TopicMessage>, Fault> {
     let mut images: BTreeMap<(String, String, i64), Vec<PointsAnnotation>> = BTreeMap::new();
     for row in people.into_iter().filter(|row| is_driven(&row.session)) {
         let key = (row.session, row.camera, row.stamp.0);
@@ -280,7 +284,7 @@ fn annotations(
                 points,
                 ..ImageAnnotations::default()
             };
-            Said::new(
+            TopicMessage::new(
                 stamp,
                 format!("{}/people", topic(&session, &camera)),
                 &message,

@@ -9,7 +9,7 @@ use evermap_schemas::Fault;
 use foxglove::messages::packed_element_field::NumericType;
 use foxglove::messages::{Grid, Vector2};
 
-use super::Said;
+use super::TopicMessage;
 use super::messages::{MAP, field, place, time};
 use crate::ending::Lost;
 use crate::export::nav2;
@@ -28,17 +28,17 @@ pub(super) async fn said(
     reader: &MapReader,
     (site, stamp): (&str, i64),
     lost: &mut Lost,
-) -> Result<Vec<Said>, Fault> {
+) -> Result<Vec<TopicMessage>, Fault> {
     let site = Some(site);
     let mut all = Vec::new();
     let tiles: Vec<Tile> = reader.rows(site).await?;
     if let Some(zoom) = zoom_for(&tiles, FINEST_M) {
         let ground = Mosaic::of(&level(&tiles, zoom))?;
-        all.push(Said::new(stamp, "/ground", &floor(&ground, stamp))?);
+        all.push(TopicMessage::new(stamp, "/ground", &floor(&ground, stamp))?);
     }
     let cells: Vec<SpeedCell> = reader.rows(site).await?;
     if let Some(grid) = speeds(&cells, stamp, lost) {
-        all.push(Said::new(stamp, "/speed", &grid)?);
+        all.push(TopicMessage::new(stamp, "/speed", &grid)?);
     }
     all.extend(mask(&cells, stamp, lost));
     let cells: Vec<DangerCell> = reader.rows(site).await?;
@@ -49,7 +49,7 @@ pub(super) async fn said(
 }
 
 /// The mask of Nav2's speed filter; `None` where there is no speed map, or it makes none.
-fn mask(cells: &[SpeedCell], stamp: i64, lost: &mut Lost) -> Option<Said> {
+fn mask(cells: &[SpeedCell], stamp: i64, lost: &mut Lost) -> Option<TopicMessage> {
     let cell_m = cells.first()?.cell_m;
     let topic = "/speed_mask";
     match nav2::limits(cells) {
@@ -81,7 +81,7 @@ fn left_out(reason: String, lost: &mut Lost) {
     *lost.0.entry(reason).or_default() += 1;
 }
 
-fn occupancy(stamp: i64, topic: &str, raster: Raster, cell_m: f64, cells: &[i8]) -> Said {
+fn occupancy(stamp: i64, topic: &str, raster: Raster, cell_m: f64, cells: &[i8]) -> TopicMessage {
     let [x, y] = raster.corner(cell_m);
     let header = Header {
         stamp_ns: stamp.max(0) as u64,
@@ -94,7 +94,7 @@ fn occupancy(stamp: i64, topic: &str, raster: Raster, cell_m: f64, cells: &[i8])
         corner: [x, y, 0.0],
         cells,
     };
-    Said::of_ros(stamp, topic, &message)
+    TopicMessage::of_ros(stamp, topic, &message)
 }
 
 /// Probabilities that somebody is in a cell in one look, in percent; the side of a cell, m. `None` where there is no map of

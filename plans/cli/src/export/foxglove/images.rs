@@ -9,7 +9,7 @@ use evermap_datasets::ImageReader;
 use evermap_schemas::Fault;
 
 use super::messages::encoded;
-use super::{Payload, Said, What};
+use super::{Payload, TopicMessage, What};
 use crate::reader::MapReader;
 
 /// Logs that stay open: one drive comes after the other.
@@ -38,10 +38,10 @@ impl<'r> Images<'r> {
     /// A data fault for a log that is gone or damaged.
     pub async fn payloads<'s>(
         &mut self,
-        said: &[&'s Said],
+        said: &[&'s TopicMessage],
     ) -> Result<Vec<Cow<'s, Payload>>, Fault> {
         let mut pictures = self.read(said).await?.into_iter();
-        let mut payload = |one: &&'s Said| match &one.what {
+        let mut payload = |one: &&'s TopicMessage| match &one.what {
             What::Message(payload) => Ok(Cow::Borrowed(payload)),
             What::Image(image) => {
                 let bytes = pictures.next().unwrap_or_default();
@@ -52,7 +52,7 @@ impl<'r> Images<'r> {
     }
 
     /// The bytes of the images among these, in their order.
-    async fn read(&mut self, said: &[&Said]) -> Result<Vec<Vec<u8>>, Fault> {
+    async fn read(&mut self, said: &[&TopicMessage]) -> Result<Vec<Vec<u8>>, Fault> {
         let mut asked: BTreeMap<&str, Vec<(usize, _)>> = BTreeMap::new();
         let images = said.iter().filter_map(|one| match &one.what {
             What::Image(image) => Some(image),

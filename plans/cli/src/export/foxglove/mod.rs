@@ -63,7 +63,7 @@ pub async fn said(
     reader: &MapReader,
     selection: &Selection,
     lost: &mut Lost,
-) -> Result<Vec<Said>, Fault> {
+) -> Result<Vec<TopicMessage>, Fault> {
     let mut poses: Vec<VehiclePose> = reader.needed(None).await?;
     let site = selection.site.as_deref();
     let site = one_site(poses.iter().map(|pose| pose.site.as_str()), site)?;
@@ -77,13 +77,13 @@ pub async fn said(
     let first = first.ok_or_else(none)?;
     let mut said = drives::said(reader, &site, poses).await?;
     let still = still::said(reader, (&site, first), lost).await?;
-    said.extend(still.into_iter().map(Said::for_good));
+    said.extend(still.into_iter().map(TopicMessage::for_good));
     said.sort_by(|a, b| (a.stamp, &a.topic).cmp(&(b.stamp, &b.topic)));
     Ok(said)
 }
 
 /// A message of a topic.
-pub struct Said {
+pub struct TopicMessage {
     /// When, ns since the epoch.
     pub stamp: i64,
     /// Of which topic.
@@ -117,7 +117,7 @@ pub struct MessageKind {
     pub encoding: &'static str,
 }
 
-impl Said {
+impl TopicMessage {
     fn new<M: Encode>(stamp: i64, topic: impl Into<String>, message: &M) -> Result<Self, Fault> {
         Ok(Self::of(stamp, topic, What::Message(encoded(message)?)))
     }
@@ -162,7 +162,7 @@ impl Said {
     }
 }
 
-async fn write(reader: &MapReader, said: &[Said], out: &Path) -> Result<(), Failure> {
+async fn write(reader: &MapReader, said: &[TopicMessage], out: &Path) -> Result<(), Failure> {
     // Only what an export has written is replaced by one.
     let library = concat!("evermap export ", env!("CARGO_PKG_VERSION"));
     let log = LogWriter::create(out, library, "").map_err(unwritten)?;
@@ -172,7 +172,7 @@ async fn write(reader: &MapReader, said: &[Said], out: &Path) -> Result<(), Fail
     };
     let mut images = Images::new(reader, SessionContext::default().runtime_env());
     for together in said.chunks(TOGETHER) {
-        let together: Vec<&Said> = together.iter().collect();
+        let together: Vec<&TopicMessage> = together.iter().collect();
         let payloads = images.payloads(&together).await?;
         for (one, payload) in together.iter().zip(&payloads) {
             file.write(one, payload).map_err(unwritten)?;
@@ -189,7 +189,7 @@ struct File {
 }
 
 impl File {
-    fn write(&mut self, said: &Said, payload: &Payload) -> Result<(), RecordingError> {
+    fn write(&mut self, said: &TopicMessage, payload: &Payload) -> Result<(), RecordingError> {
         let channel = match self.channels.get(&said.topic) {
             Some(channel) => *channel,
             None => {

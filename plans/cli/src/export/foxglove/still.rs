@@ -8,7 +8,7 @@ use foxglove::messages::{PointCloud, SceneEntity, SceneUpdate, SpherePrimitive};
 use super::messages::{
     GREEN, MAP, ORANGE, PURPLE, VERMILION, color, entity, field, line, place, time, vector,
 };
-use super::{Said, grids};
+use super::{TopicMessage, grids};
 use crate::ending::Lost;
 use crate::reader::MapReader;
 use crate::scene::corners;
@@ -19,12 +19,16 @@ pub(super) async fn said(
     reader: &MapReader,
     (site, stamp): (&str, i64),
     lost: &mut Lost,
-) -> Result<Vec<Said>, Fault> {
+) -> Result<Vec<TopicMessage>, Fault> {
     let mut all = grids::said(reader, (site, stamp), lost).await?;
     let site = Some(site);
     let landmarks: Vec<LandmarkPoint> = reader.rows(site).await?;
     if !landmarks.is_empty() {
-        all.push(Said::new(stamp, "/landmarks", &cloud(&landmarks, stamp))?);
+        all.push(TopicMessage::new(
+            stamp,
+            "/landmarks",
+            &cloud(&landmarks, stamp),
+        )?);
     }
     let lanes: Vec<Lane> = reader.rows(site).await?;
     let crossings: Vec<Crossing> = reader.rows(site).await?;
@@ -51,7 +55,7 @@ pub(super) async fn said(
                 entities,
                 ..SceneUpdate::default()
             };
-            all.push(Said::new(stamp, topic, &there)?);
+            all.push(TopicMessage::new(stamp, topic, &there)?);
         }
     }
     Ok(all)

@@ -11,7 +11,7 @@ use evermap_schemas::Fault;
 use serde::Deserialize;
 use serde_json::{Value, json};
 
-use crate::annotate::seen::PixelBox;
+use crate::annotate::mapped_image::PixelBox;
 use crate::serve::access::Who;
 use crate::serve::http::teach::{OfImage, canvas, said};
 use crate::serve::http::{App, Asks, MapOf, Refusal, named};

@@ -13,10 +13,10 @@ use tokio::net::TcpStream;
 use tokio_rustls::TlsAcceptor;
 
 use crate::serve::access::Access;
-use crate::serve::http::given::Given;
-use crate::serve::http::heard::Heard;
+use crate::serve::http::answer_body::AnswerBody;
+use crate::serve::http::request_body::RequestBody;
 use crate::serve::http::who;
-use crate::serve::patience::{Asked, Exchanges};
+use crate::serve::patience::{Exchanges, RequestSignal};
 
 /// Bytes of the head of a request beyond which no more are awaited, by HTTP/1: a query in an address fits. By HTTP/2 it is 16 KiB.
 const HEAD: usize = 128 << 10;
@@ -39,7 +39,7 @@ pub struct Door {
 pub async fn converse(
     socket: TcpStream,
     door: Door,
-    asked: Asked,
+    asked: RequestSignal,
     exchanges: Exchanges,
 ) -> Result<(), BoxError> {
     let Door {
@@ -61,7 +61,7 @@ async fn answered<I: AsyncRead + AsyncWrite + Unpin + Send + 'static>(
     io: I,
     router: Router,
     may_come_in: impl Fn(&Request<Incoming>) -> bool + Send + Sync + 'static,
-    asked: Asked,
+    asked: RequestSignal,
     exchanges: Exchanges,
 ) -> Result<(), BoxError> {
     let mut builder = Builder::new(TokioExecutor::new());
@@ -72,11 +72,11 @@ async fn answered<I: AsyncRead + AsyncWrite + Unpin + Send + 'static>(
         // Who may not come in has asked for nothing, and does not stay longer than who says nothing.
         let asked = match may_come_in(&request) {
             true => asked.clone(),
-            false => Asked::default(),
+            false => RequestSignal::default(),
         };
         let exchange = begun.begin();
-        let answer = answers.call(request.map(|body| Heard::new(body, asked)));
-        answer.map_ok(|answer| answer.map(|body| Given::new(body, exchange)))
+        let answer = answers.call(request.map(|body| RequestBody::new(body, asked)));
+        answer.map_ok(|answer| answer.map(|body| AnswerBody::new(body, exchange)))
     });
     let connection = builder.serve_connection_with_upgrades(TokioIo::new(io), service);
     let connection = std::pin::pin!(connection);
@@ -113,7 +113,13 @@ mod tests {
         let (mut client, server) = tokio::io::duplex(1 << 20);
         let exchanges = Exchanges::resting(IDLE, 6 * IDLE);
         let all = |_: &Request<Incoming>| true;
-        tokio::spawn(answered(server, router, all, Asked::default(), exchanges));
+        tokio::spawn(answered(
+            server,
+            router,
+            all,
+            RequestSignal::default(),
+            exchanges,
+        ));
         let begun = Instant::now();
         client.write_all(message).await.unwrap();
         let mut given = Vec::new();
@@ -176,7 +182,7 @@ mod tests {
         for (comes_in, stays) in [(true, true), (false, false)] {
             let router = Router::new().route("/", get(|| async { "answered" }));
             let (mut client, server) = tokio::io::duplex(1 << 20);
-            let asked = Asked::default();
+            let asked = RequestSignal::default();
             let exchanges = Exchanges::resting(20 * IDLE, 20 * IDLE);
             let may = move |_: &Request<Incoming>| comes_in;
             let connection = answered(server, router, may, asked.clone(), exchanges);

@@ -174,7 +174,7 @@ mod tests {
     use datafusion::execution::memory_pool::{GreedyMemoryPool, MemoryPool};
 
     use super::*;
-    use crate::serve::answer::Kept;
+    use crate::serve::answer::ReservedMemory;
 
     /// Memory of so many bytes.
     fn memory(bytes: usize) -> Arc<dyn MemoryPool> {
@@ -193,7 +193,7 @@ mod tests {
         Answer {
             schema: thousand(0).schema(),
             rows: rows.boxed(),
-            memory: Kept::of(memory),
+            memory: ReservedMemory::of(memory),
         }
     }
 

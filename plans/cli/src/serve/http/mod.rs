@@ -1,15 +1,15 @@
 //! Maps by HTTP. `docs/serving.md` lists the addresses.
 
+mod answer_body;
 mod boxes;
 mod conversation;
 mod formats;
-mod given;
-mod heard;
 pub mod live;
 mod metrics;
 pub mod page;
 mod pictures;
 mod refusal;
+mod request_body;
 mod rows;
 mod teach;
 
@@ -35,7 +35,7 @@ use crate::serve::http::metrics::Counts;
 pub use crate::serve::http::refusal::{Asks, Refusal};
 use crate::serve::maps::{Maps, ServedMap};
 use crate::serve::patience::{Exchanges, TOLD, accept};
-use crate::serve::places::Places;
+use crate::serve::permits::Permits;
 use crate::serve::teach::Teaching;
 
 /// What handlers answer from.
@@ -46,7 +46,7 @@ pub struct App {
     counts: Arc<Counts>,
     /// `None` where the server is only read.
     teaching: Option<Arc<Teaching>>,
-    /// Places of those who watch a map live.
+    /// Permits of those who watch a map live.
     viewers: Arc<Semaphore>,
 }
 
@@ -60,7 +60,7 @@ impl App {
 /// Serves maps for ever.
 pub async fn serve(
     listener: TcpListener,
-    places: Places,
+    permits: Permits,
     maps: Maps,
     access: Access,
     bounds: Bounds,
@@ -81,7 +81,7 @@ pub async fn serve(
         }
         converse(socket, door, asked, exchanges)
     };
-    accept(listener, places, answered).await;
+    accept(listener, permits, answered).await;
 }
 
 /// Answers every request with what is wrong.
@@ -108,7 +108,7 @@ fn router(maps: Maps, access: Access, bounds: Bounds, teaching: Option<Arc<Teach
         .route("/metrics", get(metrics::metrics))
         .fallback(refusal::unknown)
         .method_not_allowed_fallback(refusal::other_method)
-        .layer(from_fn(heard::whole))
+        .layer(from_fn(request_body::whole))
         .route_service(flight::PATH, flight)
         .layer(from_fn_with_state(app.clone(), metrics::counted))
         .layer(from_fn_with_state(access, guarded))

@@ -21,7 +21,7 @@ use crate::serve::maps::{Opened, ServedMap};
 /// What is asked, of which version, and how it is sent.
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct Asked {
+pub struct QueryArguments {
     #[serde(default)]
     query: Option<String>,
     #[serde(default)]
@@ -33,7 +33,7 @@ pub struct Asked {
     local: bool,
 }
 
-impl Asked {
+impl QueryArguments {
     /// Where on earth the sites of a version lie, if that is asked.
     async fn earth(&self, of: &Opened) -> Result<Earth, Fault> {
         match self.format {
@@ -57,7 +57,7 @@ pub async fn maps(State(app): State<App>) -> Json<Vec<Value>> {
 pub async fn get_sql(
     State(app): State<App>,
     MapOf(map): MapOf,
-    Asks(Query(asked)): Asks<Query<Asked>>,
+    Asks(Query(asked)): Asks<Query<QueryArguments>>,
 ) -> Result<Response, Refusal> {
     let query = asked.query.as_deref().unwrap_or_default();
     answered(&app, &map, query, &asked).await
@@ -70,7 +70,7 @@ pub async fn get_sql(
 pub async fn post_sql(
     State(app): State<App>,
     MapOf(map): MapOf,
-    Asks(Query(asked)): Asks<Query<Asked>>,
+    Asks(Query(asked)): Asks<Query<QueryArguments>>,
     query: Bytes,
 ) -> Result<Response, Refusal> {
     let query = std::str::from_utf8(&query)
@@ -82,7 +82,7 @@ async fn answered(
     app: &App,
     map: &ServedMap,
     query: &str,
-    asked: &Asked,
+    asked: &QueryArguments,
 ) -> Result<Response, Refusal> {
     if query.trim().is_empty() {
         return Err(Fault::user("expected a query, found none")
@@ -102,7 +102,7 @@ async fn answered(
 pub async fn layers(
     State(app): State<App>,
     MapOf(map): MapOf,
-    Asks(Query(asked)): Asks<Query<Asked>>,
+    Asks(Query(asked)): Asks<Query<QueryArguments>>,
 ) -> Result<Response, Refusal> {
     answered(&app, &map, "SELECT * FROM layers ORDER BY layer", &asked).await
 }
@@ -114,7 +114,7 @@ pub async fn layers(
 pub async fn versions(
     State(app): State<App>,
     MapOf(map): MapOf,
-    Asks(Query(asked)): Asks<Query<Asked>>,
+    Asks(Query(asked)): Asks<Query<QueryArguments>>,
 ) -> Result<Response, Refusal> {
     answered(
         &app,
@@ -133,7 +133,7 @@ pub async fn layer(
     State(app): State<App>,
     MapOf(map): MapOf,
     Asks(Path(path)): Asks<Path<std::collections::BTreeMap<String, String>>>,
-    Asks(Query(asked)): Asks<Query<Asked>>,
+    Asks(Query(asked)): Asks<Query<QueryArguments>>,
     headers: HeaderMap,
 ) -> Result<Response, Refusal> {
     let name = path.get("layer").map_or("", String::as_str);
@@ -169,7 +169,7 @@ fn no_layer(opened: &Opened, name: &str) -> Fault {
 }
 
 /// What the body of a layer depends on; `None` for a table that is no layer.
-fn tag(opened: &Opened, layer: &str, asked: &Asked) -> Option<String> {
+fn tag(opened: &Opened, layer: &str, asked: &QueryArguments) -> Option<String> {
     let layers = opened.reader.map.layers();
     let digest = |name: &str| {
         let found = layers.iter().find(|info| info.layer == name);
@@ -177,7 +177,7 @@ fn tag(opened: &Opened, layer: &str, asked: &Asked) -> Option<String> {
     };
     let earth = digest(Georeference::NAME).unwrap_or_default();
     let program = env!("CARGO_PKG_VERSION");
-    let Asked { format, local, .. } = asked;
+    let QueryArguments { format, local, .. } = asked;
     let all = format!("{program} {} {earth} {format:?} {local}", digest(layer)?);
     Some(blake3::hash(all.as_bytes()).to_hex().to_string())
 }

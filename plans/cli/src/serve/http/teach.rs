@@ -20,7 +20,7 @@ use crate::camera_images::file;
 use crate::serve::access::Who;
 use crate::serve::http::{App, Asks, MapOf, Refusal, named};
 use crate::serve::maps::ServedMap;
-use crate::serve::teach::{Asked as AskedPerson, Canvas, Saved, Site, Teaching};
+use crate::serve::teach::{Canvas, PlacedQuestion, Saved, Site, Teaching};
 
 /// `GET /teach`: whether people may teach, and as whom.
 pub async fn may(
@@ -84,7 +84,7 @@ pub async fn labels(
 /// From which revision on.
 #[derive(Debug, Default, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct Asked {
+pub struct RevisionArguments {
     #[serde(default)]
     revision: u64,
     /// Whether to wait until the image was searched, too.
@@ -102,7 +102,7 @@ pub async fn hypotheses(
     State(app): State<App>,
     MapOf(map): MapOf,
     Asks(Path(path)): Asks<Path<BTreeMap<String, String>>>,
-    Asks(Query(asked)): Asks<Query<Asked>>,
+    Asks(Query(asked)): Asks<Query<RevisionArguments>>,
 ) -> Result<Json<Value>, Refusal> {
     let site = app.teaching()?.site(&map, named(&path, "site")).await?;
     let kind = named(&path, "kind");
@@ -230,7 +230,7 @@ async fn people_of(site: &Site) -> Value {
 /// Side of the box that is drawn where somebody stands, m.
 const FOOTPRINT_M: f64 = 0.4;
 
-fn person(asked: &AskedPerson) -> Value {
+fn person(asked: &PlacedQuestion) -> Value {
     let one = &asked.question;
     json!({
         "hypothesis": one.person,

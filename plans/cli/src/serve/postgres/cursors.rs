@@ -37,9 +37,9 @@ struct Cursor {
 
 /// The cursors of a connection: what fetches from one is described by it.
 #[derive(Default)]
-pub struct Open(Mutex<BTreeMap<String, Cursor>>);
+pub struct OpenCursors(Mutex<BTreeMap<String, Cursor>>);
 
-impl Open {
+impl OpenCursors {
     fn of(client: &(impl ClientInfo + ?Sized)) -> Arc<Self> {
         client
             .session_extensions()
@@ -60,7 +60,7 @@ pub fn bound(client: &(impl ClientInfo + ?Sized), portal: &Portal<Prepared>) -> 
     let Some((Statement::Fetch { name, .. }, _)) = prepared else {
         return Ok(());
     };
-    let open_ones = Open::of(client);
+    let open_ones = OpenCursors::of(client);
     let mut held = open_ones.held();
     let Some(cursor) = held.get_mut(&name.value) else {
         return Ok(());
@@ -83,7 +83,7 @@ pub async fn answered(
     context: &SessionContext,
     client: &mut dyn HookClient,
 ) -> Option<PgWireResult<Response>> {
-    let open_ones = Open::of(client);
+    let open_ones = OpenCursors::of(client);
     match statement {
         Statement::Declare { stmts } => {
             for declared in stmts {
@@ -134,7 +134,7 @@ pub async fn planned(
 ) -> Option<PgWireResult<LogicalPlan>> {
     match statement {
         Statement::Fetch { name, .. } => {
-            let open_ones = Open::of(client);
+            let open_ones = OpenCursors::of(client);
             let held = open_ones.held();
             held.get(&name.value).map(|cursor| Ok(cursor.plan.clone()))
         }
@@ -160,7 +160,7 @@ async fn open(
         let message = "expected DECLARE name CURSOR FOR a query";
         return Err(error("ERROR", "42601", message));
     };
-    let open_ones = Open::of(client);
+    let open_ones = OpenCursors::of(client);
     if open_ones.held().len() >= MOST {
         let message = format!("expected at most {MOST} open cursors; CLOSE one first");
         return Err(error("ERROR", "53000", &message));
@@ -191,7 +191,7 @@ async fn open(
 
 /// Runs the query of a cursor from which nothing was fetched before.
 async fn start(name: &str, context: &SessionContext, client: &dyn HookClient) -> PgWireResult<()> {
-    let first = match Open::of(client).held().get_mut(name) {
+    let first = match OpenCursors::of(client).held().get_mut(name) {
         Some(cursor) if !cursor.runs => {
             cursor.runs = true;
             Some((cursor.plan.clone(), cursor.format.clone()))

@@ -28,9 +28,9 @@ enum Kind {
 
 /// The bytes of what a connection keeps, or kept, by name.
 #[derive(Debug, Default)]
-struct Kept(Mutex<BTreeMap<(Kind, String), usize>>);
+struct KeptBytes(Mutex<BTreeMap<(Kind, String), usize>>);
 
-impl Kept {
+impl KeptBytes {
     fn of(extensions: &SessionExtensions) -> Arc<Self> {
         extensions.get_or_insert_with(Self::default)
     }
@@ -52,7 +52,7 @@ pub fn make_room(
     let Some((kind, name, bytes)) = asked(message) else {
         return Ok(());
     };
-    let kept = Kept::of(extensions);
+    let kept = KeptBytes::of(extensions);
     let mut held = kept.held();
     let key = (kind, name.to_owned());
     if !has_room(&held, &key, bytes) {
@@ -75,7 +75,7 @@ pub fn deallocate(
     store: &MemPortalStore<Prepared>,
     name: Option<&str>,
 ) {
-    let kept = Kept::of(extensions);
+    let kept = KeptBytes::of(extensions);
     kept.held().retain(|(kind, known), _| {
         let goes = *kind == Kind::Statement && name.is_none_or(|name| name == known);
         if goes {

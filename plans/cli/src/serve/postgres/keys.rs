@@ -12,19 +12,19 @@ const FROM_TABLE_TO_INDEX: i32 = 1 << 30;
 const FROM_TABLE_TO_CONSTRAINT: i32 = 1 << 29;
 
 /// A column that says how what it is of would be made, and the column with the number that Postgres' function takes for it.
-struct Made {
+struct ColumnDefinition {
     of: &'static str,
     definition: &'static str,
 }
 
 /// `pg_get_indexdef(indexrelid)`.
-const INDEX: Made = Made {
+const INDEX: ColumnDefinition = ColumnDefinition {
     of: "indexrelid",
     definition: "indexdef",
 };
 
 /// `pg_get_constraintdef(oid)`.
-const CONSTRAINT: Made = Made {
+const CONSTRAINT: ColumnDefinition = ColumnDefinition {
     of: "oid",
     definition: "condef",
 };

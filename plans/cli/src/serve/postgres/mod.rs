@@ -58,8 +58,8 @@ use tokio::sync::Semaphore;
 use crate::serve::access::Access;
 use crate::serve::answer::{Bounds, Turn};
 use crate::serve::maps::{Maps, Opened};
-use crate::serve::patience::{Asked, accept};
-use crate::serve::places::Places;
+use crate::serve::patience::{RequestSignal, accept};
+use crate::serve::permits::Permits;
 use crate::serve::postgres::answering::{all_rows, bounded, cancelled, never, rows_wanted};
 use crate::serve::postgres::connection::Handlers;
 use crate::serve::postgres::reading::fault_in_our_words;
@@ -75,7 +75,7 @@ type Prepared = (String, Option<(Statement, LogicalPlan)>);
 /// Serves maps for ever. So many clients that are in at once, of all that have a place; more are refused.
 pub async fn serve(
     listener: TcpListener,
-    places: Places,
+    permits: Permits,
     maps: Maps,
     access: Access,
     bounds: Bounds,
@@ -84,7 +84,7 @@ pub async fn serve(
     let manager = Arc::new(ConnectionManager::new());
     let clients = Arc::new(Semaphore::new(connections));
     let tls = access.tls(&["postgresql"]);
-    let answered = move |socket, asked: Asked, refused: Option<Fault>| {
+    let answered = move |socket, asked: RequestSignal, refused: Option<Fault>| {
         let manager = Arc::clone(&manager);
         let clients = Arc::clone(&clients);
         let startup = Startup::new(&access, Arc::clone(&manager), clients, asked, refused);
@@ -102,7 +102,7 @@ pub async fn serve(
         };
         handlers.converse(socket, tls.clone())
     };
-    accept(listener, places, answered).await;
+    accept(listener, permits, answered).await;
 }
 
 /// Answers queries by the newest version of a map, and within bounds.

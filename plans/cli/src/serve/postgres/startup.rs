@@ -16,7 +16,7 @@ use pgwire::messages::{PgWireBackendMessage, PgWireFrontendMessage};
 use tokio::sync::{OwnedSemaphorePermit, Semaphore};
 
 use crate::serve::access::Access;
-use crate::serve::patience::Asked;
+use crate::serve::patience::RequestSignal;
 use crate::serve::postgres::error;
 
 /// Lets one client in: with a password by SCRAM where there are users, as it is where everybody may come in.
@@ -25,7 +25,7 @@ pub struct Startup {
     access: Access,
     /// Of clients that are in.
     places: Arc<Semaphore>,
-    asked: Asked,
+    asked: RequestSignal,
     /// Why there is no place for the client.
     refused: Option<Fault>,
 }
@@ -60,7 +60,7 @@ impl Startup {
         access: &Access,
         manager: Arc<ConnectionManager>,
         places: Arc<Semaphore>,
-        asked: Asked,
+        asked: RequestSignal,
         refused: Option<Fault>,
     ) -> Self {
         let by = match access.users() {

@@ -8,11 +8,11 @@ use evermap_schemas::layers::{PersonQuestion, PlacedLabel};
 
 use super::painting::Canvas;
 use super::people::{answers, shown_by};
-use super::told::Told;
-use crate::annotate::features::Feature;
+use super::taught_site::TaughtSite;
+use crate::annotate::features::DrawnFeature;
 use crate::annotate::known::KnownLabels;
+use crate::annotate::mapped_image::{MappedImage, PixelBox, same};
 use crate::annotate::person_images::CORNER;
-use crate::annotate::seen::{PixelBox, Seen, same};
 use crate::annotate::state::image_of;
 
 /// Boxes that are said at once, at most.
@@ -33,9 +33,9 @@ pub struct PeopleOnImage {
     pub said: Vec<(PlacedLabel, Option<PixelBox>)>,
 }
 
-impl Told {
+impl TaughtSite {
     pub(super) fn on_image(&self, canvas: &Canvas<'_>) -> PeopleOnImage {
-        let seen = Seen::new(canvas.image, canvas.size, (&self.state, self.plane_m)).ok();
+        let seen = MappedImage::new(canvas.image, canvas.size, (&self.state, self.plane_m)).ok();
         let labels = self.state.labels.rows().iter();
         let here = labels
             .filter(|label| is_answer(label) && image_of(label).as_ref() == Some(canvas.image));
@@ -61,19 +61,19 @@ impl Told {
         &self,
         canvas: &Canvas<'_>,
         boxes: &[PixelBox],
-    ) -> Result<Vec<Feature>, Fault> {
+    ) -> Result<Vec<DrawnFeature>, Fault> {
         if boxes.is_empty() || boxes.len() > MOST_BOXES {
             let found = boxes.len();
             return Err(refused(format!(
                 "expected 1 to {MOST_BOXES} boxes, found {found}"
             )));
         }
-        let seen = Seen::new(canvas.image, canvas.size, (&self.state, self.plane_m));
+        let seen = MappedImage::new(canvas.image, canvas.size, (&self.state, self.plane_m));
         let seen = seen.map_err(|reason| refused(reason.to_owned()))?;
         let asked = self.people.iter();
         let asked: Vec<&PersonQuestion> =
             asked.filter(|one| shown_by(one) == *canvas.image).collect();
-        let feature = |(number, drawn): (usize, &PixelBox)| -> Result<Feature, Fault> {
+        let feature = |(number, drawn): (usize, &PixelBox)| -> Result<DrawnFeature, Fault> {
             let place = format!("box {number}");
             let refused = |text: &str| refused(format!("{place}: {text}"));
             within(drawn, canvas.size).map_err(|text| refused(&text))?;

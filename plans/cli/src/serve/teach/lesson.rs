@@ -12,7 +12,7 @@ use evermap_schemas::layers::{BoxHypothesis, Lane, PlacedLabel};
 
 /// What may be of a kind, as all that was said up to a revision teaches.
 #[derive(Debug)]
-pub struct Learnt {
+pub struct LearntKind {
     /// What was known.
     pub revision: u64,
     /// The likeliest first.
@@ -37,7 +37,7 @@ pub(super) struct Lesson {
 
 impl Lesson {
     /// Learns from what was said, and weighs candidates; searches for them where none are given.
-    pub(super) fn learn(self, candidates: Option<Arc<Candidates>>) -> Result<Learnt, Fault> {
+    pub(super) fn learn(self, candidates: Option<Arc<Candidates>>) -> Result<LearntKind, Fault> {
         let begun = Instant::now();
         let (params, cell_m) = (TeachingParams::default(), self.mosaic.cell_m());
         let mut skip = |_, _| {};
@@ -48,7 +48,7 @@ impl Lesson {
     }
 
     /// Searches the image by what is known of a kind; learns first where that was learnt from less than there is.
-    pub(super) fn search(self, known: Option<&Learnt>) -> Result<Learnt, Fault> {
+    pub(super) fn search(self, known: Option<&LearntKind>) -> Result<LearntKind, Fault> {
         let begun = Instant::now();
         let latest = known.filter(|known| known.revision == self.revision);
         match latest.and_then(|known| known.model.clone()) {
@@ -63,7 +63,7 @@ impl Lesson {
         model: Option<Arc<Kind>>,
         candidates: Option<Arc<Candidates>>,
         begun: Instant,
-    ) -> Learnt {
+    ) -> LearntKind {
         let is_searched = candidates.is_none();
         let found = model.as_ref().map(|model| {
             let candidates = match candidates {
@@ -73,7 +73,7 @@ impl Lesson {
             (model.weigh(&candidates), Arc::new(candidates))
         });
         let (hypotheses, candidates) = found.unzip();
-        Learnt {
+        LearntKind {
             revision: self.revision,
             hypotheses: hypotheses.unwrap_or_default(),
             is_searched,

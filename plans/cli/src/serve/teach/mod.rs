@@ -11,7 +11,7 @@ mod drawn;
 mod lesson;
 mod painting;
 mod people;
-mod told;
+mod taught_site;
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -26,17 +26,17 @@ use evermap_schemas::layers::PlacedLabel;
 use rayon::{ThreadPool, ThreadPoolBuilder};
 use tokio::sync::Mutex;
 
-use crate::annotate::features::Feature;
-use crate::annotate::seen::PixelBox;
+use crate::annotate::features::DrawnFeature;
+use crate::annotate::mapped_image::PixelBox;
 use crate::annotate::{is_blank, user};
 use crate::serve::maps::{Opened, ServedMap};
-use crate::serve::teach::lesson::{Learnt, Lesson};
-use crate::serve::teach::told::Told;
+use crate::serve::teach::lesson::{LearntKind, Lesson};
+use crate::serve::teach::taught_site::TaughtSite;
 
 pub use crate::serve::teach::drawn::PeopleOnImage;
-pub use crate::serve::teach::painting::{Canvas, Painted};
-pub use crate::serve::teach::people::{Asked, People};
-pub use crate::serve::teach::told::Saved;
+pub use crate::serve::teach::painting::{Canvas, ImagePaint};
+pub use crate::serve::teach::people::{People, PlacedQuestion};
+pub use crate::serve::teach::taught_site::Saved;
 
 /// A log ends when its author has said nothing for so long.
 const SITTING: Duration = Duration::from_secs(60);
@@ -54,11 +54,11 @@ pub struct Teaching {
 
 /// A site that is taught.
 pub struct Site {
-    told: Mutex<Told>,
+    told: Mutex<TaughtSite>,
     learning: Mutex<()>,
     searching: Mutex<()>,
     threads: Arc<ThreadPool>,
-    learnt: std::sync::Mutex<BTreeMap<String, Arc<Learnt>>>,
+    learnt: std::sync::Mutex<BTreeMap<String, Arc<LearntKind>>>,
 }
 
 /// The labels of a site.
@@ -110,7 +110,7 @@ impl Teaching {
             return Ok(known);
         }
         let folder = self.folder.join(word(&map.name)?).join(word(site)?);
-        let told = Told::read(opened, &map.address, site, folder).await?;
+        let told = TaughtSite::read(opened, &map.address, site, folder).await?;
         let known = Arc::new(Site {
             told: Mutex::new(told),
             learning: Mutex::default(),
@@ -141,7 +141,7 @@ impl Site {
         if told.opened.opening < opened.opening {
             told.end(Duration::ZERO);
             let (map, site) = (told.map.clone(), told.state.site.clone());
-            let mut read = Told::read(opened, &map, &site, told.folder.clone()).await?;
+            let mut read = TaughtSite::read(opened, &map, &site, told.folder.clone()).await?;
             read.revision = told.revision + 1;
             read.last_ns = told.last_ns;
             *told = read;
@@ -163,7 +163,11 @@ impl Site {
     ///
     /// # Errors
     /// A user fault for features that make no sense, a resource fault where they cannot be written. Nothing is said then.
-    pub async fn say(self: &Arc<Self>, author: &str, features: &[Feature]) -> Result<Saved, Fault> {
+    pub async fn say(
+        self: &Arc<Self>,
+        author: &str,
+        features: &[DrawnFeature],
+    ) -> Result<Saved, Fault> {
         let author = word(author)?;
         let saved = {
             let mut told = self.told.lock().await;
@@ -214,7 +218,7 @@ impl Site {
     }
 
     /// What lies on an image.
-    pub async fn painted(&self, image: &ImageKey) -> Painted {
+    pub async fn painted(&self, image: &ImageKey) -> ImagePaint {
         self.told.lock().await.painted(image)
     }
 
@@ -227,7 +231,7 @@ impl Site {
         &self,
         author: &str,
         canvas: &Canvas<'_>,
-        features: &[Feature],
+        features: &[DrawnFeature],
     ) -> Result<Saved, Fault> {
         let author = word(author)?;
         let mut told = self.told.lock().await;
@@ -244,7 +248,7 @@ impl Site {
         kind: &str,
         revision: u64,
         searched: bool,
-    ) -> Result<Arc<Learnt>, Fault> {
+    ) -> Result<Arc<LearntKind>, Fault> {
         let learnt = self.weighed(kind, revision).await?;
         if searched && !learnt.is_searched {
             self.search(kind).await;
@@ -252,24 +256,28 @@ impl Site {
         Ok(self.known(kind).unwrap_or(learnt))
     }
 
-    async fn weighed(self: &Arc<Self>, kind: &str, revision: u64) -> Result<Arc<Learnt>, Fault> {
+    async fn weighed(
+        self: &Arc<Self>,
+        kind: &str,
+        revision: u64,
+    ) -> Result<Arc<LearntKind>, Fault> {
         match self.known(kind).filter(|known| known.revision >= revision) {
             Some(known) => Ok(known),
             None => self.learn(kind).await,
         }
     }
 
-    fn known(&self, kind: &str) -> Option<Arc<Learnt>> {
+    fn known(&self, kind: &str) -> Option<Arc<LearntKind>> {
         self.all().get(kind).cloned()
     }
 
-    fn all(&self) -> MutexGuard<'_, BTreeMap<String, Arc<Learnt>>> {
+    fn all(&self) -> MutexGuard<'_, BTreeMap<String, Arc<LearntKind>>> {
         self.learnt.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     /// Learns what all that was said of a kind teaches, unless somebody else has done so meanwhile. Where candidates are
     /// known they are weighed again at once, and others searched for later.
-    async fn learn(self: &Arc<Self>, kind: &str) -> Result<Arc<Learnt>, Fault> {
+    async fn learn(self: &Arc<Self>, kind: &str) -> Result<Arc<LearntKind>, Fault> {
         let _turn = self.learning.lock().await;
         let lesson = self.lesson(kind).await;
         if lesson.labels.is_empty() {
@@ -278,7 +286,7 @@ impl Site {
             return lesson.learn(None).map(Arc::new);
         }
         let known = self.known(kind);
-        let new = |known: &Arc<Learnt>| known.revision < lesson.revision;
+        let new = |known: &Arc<LearntKind>| known.revision < lesson.revision;
         if let Some(known) = known.clone().filter(|known| !new(known)) {
             return Ok(known);
         }
@@ -296,7 +304,7 @@ impl Site {
         Ok(self.keep(kind, learnt))
     }
 
-    fn keep(&self, kind: &str, learnt: Learnt) -> Arc<Learnt> {
+    fn keep(&self, kind: &str, learnt: LearntKind) -> Arc<LearntKind> {
         let learnt = Arc::new(learnt);
         self.all().insert(kind.to_owned(), Arc::clone(&learnt));
         learnt

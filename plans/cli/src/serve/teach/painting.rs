@@ -3,18 +3,18 @@
 use std::collections::BTreeSet;
 
 use evermap_catalog::painted::{ImageKey, by_image, lying, paint};
-use evermap_datasets::annotations::{Annotation, Drawn, OnImage};
+use evermap_datasets::annotations::{Annotation, DrawnPixels, OnImage};
 use evermap_engine::digest::digest_of;
 use evermap_schemas::roles::ImageAnnotation;
 use evermap_schemas::roles::annotations::is_word;
 use evermap_schemas::{Fault, Stamp};
 use serde_json::{Value, json};
 
-use super::told::{Saved, Told};
-use crate::annotate::features::{Feature, Geometry, Point};
+use super::taught_site::{Saved, TaughtSite};
+use crate::annotate::features::{DrawnFeature, Geometry, Point};
 
 /// What lies on an image.
-pub struct Painted {
+pub struct ImagePaint {
     /// The version that is looked at.
     pub version: u64,
     /// Paint, later over earlier.
@@ -31,15 +31,15 @@ pub struct Canvas<'a> {
     pub size: [u32; 2],
 }
 
-impl Told {
-    pub(super) fn painted(&self, image: &ImageKey) -> Painted {
+impl TaughtSite {
+    pub(super) fn painted(&self, image: &ImageKey) -> ImagePaint {
         let images = by_image(self.paint.clone());
         let on = |acts: &Vec<ImageAnnotation>| -> Vec<ImageAnnotation> {
             let found = lying(acts, &mut |_, _| {});
             found.into_iter().cloned().collect()
         };
         let all = images.values().flat_map(on);
-        Painted {
+        ImagePaint {
             version: self.state.version,
             classes: all.map(|act| act.class).collect(),
             lying: images.get(image).map(on).unwrap_or_default(),
@@ -51,7 +51,7 @@ impl Told {
         &mut self,
         author: &str,
         canvas: &Canvas<'_>,
-        features: &[Feature],
+        features: &[DrawnFeature],
     ) -> Result<Saved, Fault> {
         let stamp_ns = self.now();
         let lying = self.painted(canvas.image).lying;
@@ -98,10 +98,10 @@ impl Told {
 
 /// The label that a feature is about, its class, and what it draws; `None` where it removes the label.
 fn said<'b>(
-    feature: &Feature,
+    feature: &DrawnFeature,
     canvas: &Canvas<'_>,
     before: &dyn Fn(&str) -> Option<&'b ImageAnnotation>,
-) -> Result<(String, String, Option<Drawn>), String> {
+) -> Result<(String, String, Option<DrawnPixels>), String> {
     match feature.standing.as_deref() {
         None | Some("drawn") => {}
         Some("removed") => {
@@ -133,7 +133,7 @@ fn said<'b>(
     Ok((id, class.to_owned(), Some(drawn)))
 }
 
-fn drawn(geometry: &Geometry, brush_px: Option<f64>) -> Result<Drawn, &'static str> {
+fn drawn(geometry: &Geometry, brush_px: Option<f64>) -> Result<DrawnPixels, &'static str> {
     let flat = |points: &[Point]| points.iter().map(|(at, _)| *at).collect::<Vec<_>>();
     Ok(match geometry {
         Geometry::Closed(corners) => {
@@ -142,13 +142,13 @@ fn drawn(geometry: &Geometry, brush_px: Option<f64>) -> Result<Drawn, &'static s
             if points.len() > 1 && points.first() == points.last() {
                 points.pop();
             }
-            Drawn {
+            DrawnPixels {
                 shape: "polygon".to_owned(),
                 points,
                 brush_px: None,
             }
         }
-        Geometry::Open(line) => Drawn {
+        Geometry::Open(line) => DrawnPixels {
             shape: "polyline".to_owned(),
             points: flat(line),
             brush_px: Some(brush_px.ok_or("expected brush_px of a line, found none")?),
@@ -157,7 +157,7 @@ fn drawn(geometry: &Geometry, brush_px: Option<f64>) -> Result<Drawn, &'static s
 }
 
 /// A name made of what was drawn: the same outline of another class takes its place.
-fn name(image: &ImageKey, drawn: &Drawn) -> Result<String, Fault> {
+fn name(image: &ImageKey, drawn: &DrawnPixels) -> Result<String, Fault> {
     let (session, stamp, camera) = image;
     let whole = (session, stamp.0, camera, &drawn.points, drawn.brush_px);
     Ok(digest_of(&whole)?.chars().take(16).collect())
@@ -167,7 +167,7 @@ fn name(image: &ImageKey, drawn: &Drawn) -> Result<String, Fault> {
 fn of_image(
     (session, stamp, camera): &ImageKey,
     site: &str,
-    drawn: Option<Drawn>,
+    drawn: Option<DrawnPixels>,
 ) -> ImageAnnotation {
     let act = if drawn.is_some() { "drawn" } else { "removed" };
     let brush_px = drawn.as_ref().and_then(|drawn| drawn.brush_px);
@@ -193,7 +193,7 @@ fn of_image(
 
 /// The message of an act.
 fn message(row: &ImageAnnotation) -> Annotation {
-    let drawn = row.shape.clone().map(|shape| Drawn {
+    let drawn = row.shape.clone().map(|shape| DrawnPixels {
         shape,
         points: row.points.clone(),
         brush_px: row.brush_px,

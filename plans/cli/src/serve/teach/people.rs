@@ -6,7 +6,7 @@ use evermap_catalog::{ANSWERED_M, PERSON};
 use evermap_schemas::layers::{PersonQuestion, PlacedLabel};
 use nalgebra::Vector3;
 
-use super::told::Told;
+use super::taught_site::TaughtSite;
 use crate::annotate::state::image_of;
 
 /// Whom to ask about, as the version that is looked at has it, without those who were answered since.
@@ -14,7 +14,7 @@ pub struct People {
     /// Counts what was said.
     pub revision: u64,
     /// The first to ask about first.
-    pub asked: Vec<Asked>,
+    pub asked: Vec<PlacedQuestion>,
     /// How many others there are: of images that the map has no vehicle pose of, where no answer can be held.
     pub unplaced: usize,
     /// How many answers the version has not learnt from.
@@ -22,21 +22,21 @@ pub struct People {
 }
 
 /// Somebody to ask about.
-pub struct Asked {
+pub struct PlacedQuestion {
     /// What is asked.
     pub question: PersonQuestion,
     /// Where they stand, with the vehicle's heading.
     pub map_from_person: evermap_schemas::Pose,
 }
 
-impl Asked {
+impl PlacedQuestion {
     /// The image that may show them.
     pub fn image(&self) -> ImageKey {
         shown_by(&self.question)
     }
 }
 
-impl Told {
+impl TaughtSite {
     pub(super) fn people(&self) -> People {
         let mut found = People {
             revision: self.revision,
@@ -51,7 +51,7 @@ impl Told {
                 continue;
             }
             match self.state.map_from_vehicle(&shown_by(question)) {
-                Some(pose) => found.asked.push(Asked {
+                Some(pose) => found.asked.push(PlacedQuestion {
                     question: question.clone(),
                     map_from_person: standing(&pose, question),
                 }),

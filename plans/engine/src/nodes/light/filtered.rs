@@ -222,7 +222,7 @@ impl Duty for Gathering {
         let input = first(&node.children)?.execute(partition, context)?;
         let schema = node.schema();
         let metrics = BaselineMetrics::new(&node.metrics, partition);
-        let begun = Gathered {
+        let begun = GatheredRows {
             rows: Rows::new(&schema, most),
             duty: Arc::clone(&node.duty),
             left: node.duty.fetch.unwrap_or(usize::MAX),
@@ -237,7 +237,7 @@ impl Duty for Gathering {
 }
 
 /// A partition's rows on their way.
-struct Gathered {
+struct GatheredRows {
     rows: Rows,
     duty: Arc<Gathering>,
     /// Rows that are still wanted.
@@ -246,7 +246,7 @@ struct Gathered {
     input: Option<SendableRecordBatchStream>,
 }
 
-impl Gathered {
+impl GatheredRows {
     async fn next(&mut self, metrics: &BaselineMetrics) -> Result<Option<RecordBatch>> {
         loop {
             if let Some(batch) = self.rows.ready.pop_front() {

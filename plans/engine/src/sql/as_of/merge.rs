@@ -16,10 +16,10 @@ use futures::{Stream, StreamExt};
 use crate::sql::as_of::condition::{Condition, KEY_ORDER, Pair, Value};
 
 /// Where a row is that matches: which of the pieces of the right table, and which row of it.
-type Place = (usize, usize);
+type RowIndex = (usize, usize);
 
 /// The row of nulls, which is what there is where nothing matches.
-const NOTHING: Place = (0, 0);
+const NOTHING: RowIndex = (0, 0);
 
 /// A merge under way.
 pub struct Merge {
@@ -47,7 +47,7 @@ enum Last {
     /// A row of the current batch.
     Current(usize),
     /// A row of a batch before, with its keys.
-    Before(Place, Option<OwnedRow>),
+    Before(RowIndex, Option<OwnedRow>),
 }
 
 /// What makes values that compare as rows are ordered.
@@ -240,7 +240,7 @@ impl Merge {
     }
 
     /// Where the row is that matches one of the left.
-    fn place(&mut self, left: &Rank, of: usize) -> Place {
+    fn place(&mut self, left: &Rank, of: usize) -> RowIndex {
         match (&self.last, &self.current) {
             (Some(Last::Current(row)), Some(current)) => {
                 let row = *row;
@@ -261,7 +261,7 @@ impl Merge {
     }
 
     /// Where a row of the current batch will be.
-    fn picked_place(&mut self, row: usize) -> Place {
+    fn picked_place(&mut self, row: usize) -> RowIndex {
         let row = row as u32;
         if self.picked.last() != Some(&row) {
             self.picked.push(row);
@@ -290,7 +290,7 @@ impl Merge {
     }
 
     /// Rows of the left with those of the right at these places beside them.
-    fn beside(&self, left: &RecordBatch, places: &[Place]) -> Result<RecordBatch> {
+    fn beside(&self, left: &RecordBatch, places: &[RowIndex]) -> Result<RecordBatch> {
         let pieces: Vec<&RecordBatch> = self.pieces.iter().collect();
         let mut columns = left.columns().to_vec();
         if !self.right_schema.fields().is_empty() {
@@ -309,7 +309,7 @@ impl Merge {
         &self,
         joined: RecordBatch,
         left: &RecordBatch,
-        mut places: Vec<Place>,
+        mut places: Vec<RowIndex>,
     ) -> Result<RecordBatch> {
         let Some(limit) = &self.condition.limit else {
             return Ok(joined);

@@ -166,7 +166,7 @@ impl Statistic {
 }
 
 impl Measure for Statistic {
-    type Part = Moments;
+    type Aggregate = Moments;
 
     /// Of one column each number is its own pair.
     fn parts(&self, values: &[ArrayRef]) -> Vec<Option<Moments>> {

@@ -32,7 +32,7 @@ impl Total {
 }
 
 impl Measure for FloatSum {
-    type Part = Total;
+    type Aggregate = Total;
 
     fn parts(&self, values: &[ArrayRef]) -> Vec<Option<Total>> {
         let values = values

@@ -39,7 +39,7 @@ impl<T: ArrowPrimitiveType> Debug for Extreme<T> {
 }
 
 impl<T: ArrowPrimitiveType> Measure for Extreme<T> {
-    type Part = T::Native;
+    type Aggregate = T::Native;
 
     fn parts(&self, values: &[ArrayRef]) -> Vec<Option<T::Native>> {
         let values = values.iter().map(|values| values.as_primitive::<T>());

@@ -10,7 +10,7 @@ use crate::sql::measures::{Spread, both};
 #[derive(Debug)]
 pub struct OfGroups<M: Spread> {
     measure: M,
-    known: Vec<Option<M::Part>>,
+    known: Vec<Option<M::Aggregate>>,
 }
 
 /// Whether a filter lets a row through.
@@ -27,7 +27,7 @@ impl<M: Spread> OfGroups<M> {
 
     fn add(
         &mut self,
-        parts: Vec<Option<M::Part>>,
+        parts: Vec<Option<M::Aggregate>>,
         groups: &[usize],
         filter: Option<&BooleanArray>,
         count: usize,
@@ -88,6 +88,6 @@ impl<M: Spread> GroupsAccumulator for OfGroups<M> {
     }
 
     fn size(&self) -> usize {
-        self.known.capacity() * size_of::<Option<M::Part>>()
+        self.known.capacity() * size_of::<Option<M::Aggregate>>()
     }
 }

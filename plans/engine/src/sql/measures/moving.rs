@@ -13,11 +13,11 @@ use crate::sql::measures::{Measure, both};
 pub struct Moving<M: Measure> {
     measure: M,
     /// Of each row in front, it and those behind it among these, the foremost row at the end.
-    front: Vec<M::Part>,
+    front: Vec<M::Aggregate>,
     /// Of each row at the back.
-    back: Vec<M::Part>,
+    back: Vec<M::Aggregate>,
     /// Of all rows at the back.
-    behind: Option<M::Part>,
+    behind: Option<M::Aggregate>,
 }
 
 impl<M: Measure> Moving<M> {
@@ -31,7 +31,7 @@ impl<M: Measure> Moving<M> {
         }
     }
 
-    fn push(&mut self, row: M::Part) {
+    fn push(&mut self, row: M::Aggregate) {
         self.behind = both(&self.measure, self.behind, Some(row));
         self.back.push(row);
     }
@@ -48,7 +48,7 @@ impl<M: Measure> Moving<M> {
         self.front.pop();
     }
 
-    fn all(&self) -> Option<M::Part> {
+    fn all(&self) -> Option<M::Aggregate> {
         both(&self.measure, self.front.last().copied(), self.behind)
     }
 }
@@ -86,6 +86,6 @@ impl<M: Measure> Accumulator for Moving<M> {
 
     fn size(&self) -> usize {
         let parts = self.front.capacity() + self.back.capacity();
-        size_of_val(self) + parts * size_of::<M::Part>()
+        size_of_val(self) + parts * size_of::<M::Aggregate>()
     }
 }

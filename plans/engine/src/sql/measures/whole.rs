@@ -10,7 +10,7 @@ use crate::sql::measures::{Spread, both};
 #[derive(Debug)]
 pub struct OfAll<M: Spread> {
     measure: M,
-    known: Option<M::Part>,
+    known: Option<M::Aggregate>,
 }
 
 impl<M: Spread> OfAll<M> {
@@ -20,7 +20,7 @@ impl<M: Spread> OfAll<M> {
         Self { measure, known }
     }
 
-    fn add(&mut self, parts: Vec<Option<M::Part>>) {
+    fn add(&mut self, parts: Vec<Option<M::Aggregate>>) {
         for part in parts {
             self.known = both(&self.measure, self.known, part);
         }

@@ -22,7 +22,7 @@ const COURSE: usize = 4;
 const STANDING: f64 = 6.0;
 
 /// A position with its number in the drive.
-type Numbered = (u32, [f64; 3]);
+type NumberedPosition = (u32, [f64; 3]);
 
 /// A place along a drive.
 #[derive(Debug, Clone, Copy)]
@@ -38,9 +38,9 @@ pub(super) struct Sample {
 }
 
 /// The samples of an unbroken part of a drive; cut where nothing is known for a long way.
-pub(super) fn samples(part: &[Numbered], reach: &Reach) -> Vec<Vec<Sample>> {
+pub(super) fn samples(part: &[NumberedPosition], reach: &Reach) -> Vec<Vec<Sample>> {
     let longest_m = LONGEST_FILLED_STEP * reach.spacing_m;
-    let known = |a: &Numbered, b: &Numbered| distance(&a.1, &b.1) <= longest_m;
+    let known = |a: &NumberedPosition, b: &NumberedPosition| distance(&a.1, &b.1) <= longest_m;
     let runs = part.chunk_by(known).map(|poses| {
         let moving = moving(poses, reach.connect_m);
         with_course(&spaced(&moving, reach.spacing_m * STEP), reach.spacing_m)
@@ -50,12 +50,12 @@ pub(super) fn samples(part: &[Numbered], reach: &Reach) -> Vec<Vec<Sample>> {
 
 /// The poses without those of a vehicle that stands and trembles: that goes to and fro within a radius for more than
 /// `STANDING` times that path.
-fn moving(poses: &[Numbered], radius_m: f64) -> Vec<Numbered> {
-    let mut kept: Vec<Numbered> = Vec::new();
+fn moving(poses: &[NumberedPosition], radius_m: f64) -> Vec<NumberedPosition> {
+    let mut kept: Vec<NumberedPosition> = Vec::new();
     let mut begin = 0;
     while begin < poses.len() {
         let anchor = poses[begin].1;
-        let inside = |pose: &&Numbered| distance(&anchor, &pose.1) <= radius_m;
+        let inside = |pose: &&NumberedPosition| distance(&anchor, &pose.1) <= radius_m;
         let end = begin + poses[begin..].iter().take_while(inside).count();
         let path_m: f64 = poses[begin..end]
             .windows(2)
@@ -75,7 +75,7 @@ fn moving(poses: &[Numbered], radius_m: f64) -> Vec<Numbered> {
 }
 
 /// Positions a step apart, each with the poses that it lies between; the last pose is the last position.
-fn spaced(poses: &[Numbered], step_m: f64) -> Vec<([f64; 3], u32, u32)> {
+fn spaced(poses: &[NumberedPosition], step_m: f64) -> Vec<([f64; 3], u32, u32)> {
     let mut kept: Vec<([f64; 3], u32, u32)> = Vec::new();
     let mut left = None;
     for &(at, position) in poses {

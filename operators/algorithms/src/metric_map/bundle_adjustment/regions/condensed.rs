@@ -17,7 +17,7 @@ use crate::solving::least_squares::{Structure, SystemError};
 
 /// Where an unknown of a region is.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Place {
+pub(super) enum BlockIndex {
     /// Among those that it has alone.
     Own(u32),
     /// Among those that it shares.
@@ -41,17 +41,17 @@ pub(super) struct Interior<const C: usize> {
 /// Blocks of `B` in the columns of one shared unknown, by row.
 type Coupling<const C: usize> = Vec<(u32, Block<C>)>;
 
-/// Eliminates the unknowns that a region has alone. `places` are those of all, each kind ascending as they do.
+/// Eliminates the unknowns that a region has alone. `indices` are those of all, each kind ascending as they do.
 pub(super) fn condense<const C: usize>(
-    places: &[Place],
+    indices: &[BlockIndex],
     matrix: &Blocks<C>,
     right: &[[f64; C]],
 ) -> Result<(Interior<C>, Condensed<C>), Failed> {
-    let shared = places
+    let shared = indices
         .iter()
-        .filter(|place| matches!(place, Place::Shared(_)));
+        .filter(|index| matches!(index, BlockIndex::Shared(_)));
     let shared = shared.count();
-    let own = places.len() - shared;
+    let own = indices.len() - shared;
     let mut left = Condensed {
         rows: (0..shared)
             .map(|row| vec![[[0.0; C]; C]; shared - row])
@@ -61,25 +61,25 @@ pub(super) fn condense<const C: usize>(
     let mut couplings: Vec<Coupling<C>> = vec![Vec::new(); shared];
     let mut inner = Vec::new();
     for (row, column, block) in matrix.iter() {
-        match (places[row], places[column]) {
-            (Place::Own(row), Place::Own(column)) => inner.push((row, column, block)),
-            (Place::Own(row), Place::Shared(column)) => {
+        match (indices[row], indices[column]) {
+            (BlockIndex::Own(row), BlockIndex::Own(column)) => inner.push((row, column, block)),
+            (BlockIndex::Own(row), BlockIndex::Shared(column)) => {
                 couplings[column as usize].push((row, *block));
             }
-            (Place::Shared(row), Place::Own(column)) => {
+            (BlockIndex::Shared(row), BlockIndex::Own(column)) => {
                 couplings[row as usize].push((column, transposed(block)));
             }
-            (Place::Shared(row), Place::Shared(column)) => left.set(row, column, block),
+            (BlockIndex::Shared(row), BlockIndex::Shared(column)) => left.set(row, column, block),
         }
     }
     let mut columns = columns(own, &couplings)?;
-    for (place, right) in places.iter().zip(right) {
-        match place {
-            Place::Own(row) => {
+    for (index, right) in indices.iter().zip(right) {
+        match index {
+            BlockIndex::Own(row) => {
                 let last = columns.len() - (own - *row as usize) * C;
                 columns[last..last + C].copy_from_slice(right);
             }
-            Place::Shared(row) => left.right[*row as usize] = *right,
+            BlockIndex::Shared(row) => left.right[*row as usize] = *right,
         }
     }
     if own > 0 {

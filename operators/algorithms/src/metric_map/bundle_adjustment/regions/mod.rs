@@ -25,15 +25,15 @@
 
 mod boundary;
 mod condensed;
-mod part;
 mod partition;
 mod region;
+mod subproblem;
 
 use rayon::prelude::*;
 
 use self::boundary::Boundary;
-use self::part::Part;
-use self::region::{Failed, Look, Moved, Region};
+use self::region::{Evaluation, Failed, Moved, Region};
+use self::subproblem::Subproblem;
 use super::equations::add_decrease;
 use super::{Options, Problem, ProblemError};
 use crate::solving::least_squares::{
@@ -107,11 +107,14 @@ impl Together {
         }
     }
 
-    fn add(&mut self, part: &Part, look: &Look) {
-        self.cost += look.cost;
-        self.gradient_max = absolute_max([self.gradient_max, look.gradient_max]);
-        for ((shared, gradient), diagonal) in
-            part.shared.iter().zip(&look.gradient).zip(&look.diagonal)
+    fn add(&mut self, part: &Subproblem, evaluation: &Evaluation) {
+        self.cost += evaluation.cost;
+        self.gradient_max = absolute_max([self.gradient_max, evaluation.gradient_max]);
+        for ((shared, gradient), diagonal) in part
+            .shared
+            .iter()
+            .zip(&evaluation.gradient)
+            .zip(&evaluation.diagonal)
         {
             for c in 0..6 {
                 self.gradient[*shared as usize][c] += gradient[c];
@@ -127,7 +130,7 @@ impl<'a> Regions<'a> {
         homes: &partition::Homes,
         options: &'a Options,
     ) -> Result<Self, SystemError> {
-        let (parts, shared) = part::split(problem, homes);
+        let (parts, shared) = subproblem::split(problem, homes);
         let boundary = Boundary::new(shared, parts.iter().map(|part| part.shared.as_slice()))?;
         Ok(Self {
             regions: parts.into_iter().map(Region::new).collect(),
@@ -189,8 +192,8 @@ impl least_squares::Problem for Regions<'_> {
             let mut all = Together::new(shared);
             visit(
                 regions,
-                |region| region.look(options),
-                |region, look| all.add(&region.part, &look),
+                |region| region.evaluate(options),
+                |region, evaluation| all.add(&region.part, &evaluation),
             );
             all
         });
@@ -219,7 +222,7 @@ impl least_squares::Problem for Regions<'_> {
             |region, moved: Moved| {
                 step.predicted_decrease += moved.predicted_decrease;
                 step.moved = absolute_max([step.moved, moved.moved]);
-                all.add(&region.part, &moved.look);
+                all.add(&region.part, &moved.evaluation);
             },
         );
         self.trial = Some(all);

@@ -186,7 +186,7 @@ impl Halving {
 mod tests {
     use super::*;
     use crate::geometry::pose::Pose;
-    use crate::metric_map::bundle_adjustment::{Keyframe, Observation, Session};
+    use crate::metric_map::bundle_adjustment::{Keyframe, Observation, SessionState};
 
     /// A road of poses in any order, each landmark seen from five in a row.
     fn road(poses: usize) -> (Problem, Vec<usize>) {
@@ -201,7 +201,7 @@ mod tests {
             sigma_px: 1.0,
         };
         let problem = Problem {
-            sessions: vec![Session::new(0)],
+            sessions: vec![SessionState::new(0)],
             poses: vec![
                 Keyframe {
                     session: 0,

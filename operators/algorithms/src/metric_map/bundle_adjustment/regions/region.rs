@@ -3,31 +3,31 @@
 use nalgebra::Vector3;
 
 use super::super::blocks::Blocks;
+use super::super::decomposition;
 use super::super::elimination::{Layout, fill};
 use super::super::equations::Equations;
 use super::super::schur::{Bundle, ordered};
-use super::super::taken;
 use super::super::vehicle::Vehicles;
-use super::super::{Keyframe, Options, Session};
-use super::condensed::{Condensed, Interior, Place, condense};
-use super::part::Part;
+use super::super::{Keyframe, Options, SessionState};
+use super::condensed::{BlockIndex, Condensed, Interior, condense};
+use super::subproblem::Subproblem;
 use crate::solving::least_squares::{SystemError, absolute_max};
 
 /// A part of the problem at its estimate, and what is kept of a step.
 pub(super) struct Region {
-    pub(super) part: Part,
+    pub(super) part: Subproblem,
     interior: Option<Interior<6>>,
     trial: Option<Estimate>,
 }
 
 struct Estimate {
     poses: Vec<Keyframe>,
-    sessions: Vec<Session>,
+    sessions: Vec<SessionState>,
     landmarks: Vec<Vector3<f64>>,
 }
 
 /// What a region says of an estimate.
-pub(super) struct Look {
+pub(super) struct Evaluation {
     pub(super) cost: f64,
     /// Largest entry of the gradient of landmarks, and of what it has alone.
     pub(super) gradient_max: f64,
@@ -43,7 +43,7 @@ pub(super) struct Moved {
     pub(super) predicted_decrease: f64,
     pub(super) moved: f64,
     /// At the trial.
-    pub(super) look: Look,
+    pub(super) evaluation: Evaluation,
 }
 
 /// Why there is no step.
@@ -54,7 +54,7 @@ pub(super) enum Failed {
 }
 
 impl Region {
-    pub(super) fn new(part: Part) -> Self {
+    pub(super) fn new(part: Subproblem) -> Self {
         Self {
             part,
             interior: None,
@@ -63,8 +63,8 @@ impl Region {
     }
 
     /// Cost and gradient at the estimate.
-    pub(super) fn look(&self, options: &Options) -> Look {
-        look(&self.part, &mut equations(&self.part, options))
+    pub(super) fn evaluate(&self, options: &Options) -> Evaluation {
+        evaluate(&self.part, &mut equations(&self.part, options))
     }
 
     /// Eliminates landmarks, then what the region has alone, and keeps what gives their steps.
@@ -80,18 +80,18 @@ impl Region {
         equations.linearise();
         let mut added = equations.eliminate(damping);
         // What is shared is damped once, where all its parts are together.
-        for (added, place) in added.iter_mut().zip(&part.places) {
-            if matches!(place, Place::Shared(_)) {
+        for (added, index) in added.iter_mut().zip(&part.indices) {
+            if matches!(index, BlockIndex::Shared(_)) {
                 *added = [0.0; 6];
             }
         }
         let pairs = equations.layout.meeting(&equations.terms);
-        let mut matrix = Blocks::new(part.places.len(), &pairs);
+        let mut matrix = Blocks::new(part.indices.len(), &pairs);
         let own = (&equations.terms, added.as_slice());
         fill(&mut matrix, &equations.layout, &equations.sighted, own);
         let right = std::mem::take(&mut equations.steps);
         drop(equations);
-        let (interior, left) = condense(&part.places, &matrix, &right)?;
+        let (interior, left) = condense(&part.indices, &matrix, &right)?;
         self.interior = Some(interior);
         Ok(left)
     }
@@ -111,17 +111,17 @@ impl Region {
         let mut equations = equations(part, options);
         equations.linearise();
         equations.eliminate(damping);
-        for (step, place) in equations.steps.iter_mut().zip(&part.places) {
-            *step = match place {
-                Place::Own(at) => own[*at as usize],
-                Place::Shared(at) => shared[*at as usize],
+        for (step, index) in equations.steps.iter_mut().zip(&part.indices) {
+            *step = match index {
+                BlockIndex::Own(at) => own[*at as usize],
+                BlockIndex::Shared(at) => shared[*at as usize],
             };
         }
         equations.substitute();
         let predicted_decrease = equations.predicted_decrease(part.own(), damping);
         let moved = equations.bundle.moved(&equations.steps);
         equations.accept();
-        let look = look(part, &mut equations);
+        let evaluation = evaluate(part, &mut equations);
         let (poses, sessions) = equations.bundle.into_estimate();
         let landmarks = equations.landmarks.into_iter().map(Vector3::from);
         self.trial = Some(Estimate {
@@ -132,7 +132,7 @@ impl Region {
         Moved {
             predicted_decrease,
             moved,
-            look,
+            evaluation,
         }
     }
 
@@ -147,29 +147,29 @@ impl Region {
     }
 }
 
-fn equations<'a>(part: &'a Part, options: &'a Options) -> Equations<6, Vehicles<'a>> {
-    let taken = taken::take(&part.problem, options, part.sessions);
+fn equations<'a>(part: &'a Subproblem, options: &'a Options) -> Equations<6, Vehicles<'a>> {
+    let taken = decomposition::take(&part.problem, options, part.sessions);
     let identity: Vec<u32> = (0..taken.blocks as u32).collect();
     let layout = Layout::new(taken.landmarks.len(), taken.sights, &identity);
     let terms = Blocks::new(taken.blocks, &ordered(&taken.pairs));
     Equations::new(taken.bundle, taken.landmarks, layout, terms)
 }
 
-fn look(part: &Part, equations: &mut Equations<6, Vehicles<'_>>) -> Look {
+fn evaluate(part: &Subproblem, equations: &mut Equations<6, Vehicles<'_>>) -> Evaluation {
     let cost = equations.linearise();
     let own = part.own().flat_map(|block| &equations.gradient[block]);
     let gradient_max = absolute_max(own.chain(equations.landmark_gradient()));
-    let mut look = Look {
+    let mut evaluation = Evaluation {
         cost,
         gradient_max,
         gradient: vec![[0.0; 6]; part.shared.len()],
         diagonal: vec![[0.0; 6]; part.shared.len()],
     };
-    for (block, place) in part.places.iter().enumerate() {
-        if let Place::Shared(at) = place {
-            look.gradient[*at as usize] = equations.gradient[block];
-            look.diagonal[*at as usize] = equations.diagonal[block];
+    for (block, index) in part.indices.iter().enumerate() {
+        if let BlockIndex::Shared(at) = index {
+            evaluation.gradient[*at as usize] = equations.gradient[block];
+            evaluation.diagonal[*at as usize] = equations.diagonal[block];
         }
     }
-    look
+    evaluation
 }

@@ -3,11 +3,11 @@
 
 use super::super::blocks::Blocks;
 use super::super::clusters::Clusters;
+use super::super::decomposition::{Sessions, take};
 use super::super::elimination::Layout;
 use super::super::iterative::{CLUSTERS, clusters};
 use super::super::schur::{Sight, ordered};
 use super::super::system::System;
-use super::super::taken::{Sessions, take};
 use super::super::*;
 use super::{Drive, options};
 use crate::solving::least_squares::Structure;

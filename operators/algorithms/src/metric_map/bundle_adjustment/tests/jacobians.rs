@@ -14,7 +14,9 @@ fn jacobians_are_derivatives() {
     let mut drive = Drive::new(5, 30, 10);
     let problem = drive.disturbed(3.0, 0.1);
     let options = Options::default();
-    let (mut bundle, _) = taken::schur(&problem, &options).unwrap().into_estimate();
+    let (mut bundle, _) = decomposition::schur(&problem, &options)
+        .unwrap()
+        .into_estimate();
     let blocks = 4 + 1;
     for (index, seen) in problem.observations.iter().enumerate().step_by(7) {
         let landmark: [f64; 3] = problem.landmarks[seen.landmark].into();
@@ -57,7 +59,7 @@ fn odometry_jacobians_are_derivatives() {
     let problem = drive.disturbed(0.0, 1.0);
     let step = &problem.odometry[0];
     let poses = [0, 1].map(|at| problem.poses[at].map_from_vehicle);
-    let session = Session {
+    let session = SessionState {
         rig: 0,
         odometry_scale: 1.1,
         odometry_yaw_rad_per_m: 0.02,

@@ -66,7 +66,7 @@ impl Drive {
         });
         let mut truth = Problem {
             rigs: vec![four_fisheyes()],
-            sessions: vec![Session::new(0)],
+            sessions: vec![SessionState::new(0)],
             poses: poses.collect(),
             ..Problem::default()
         };

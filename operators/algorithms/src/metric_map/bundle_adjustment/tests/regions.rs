@@ -18,7 +18,7 @@ fn road(drives: usize, steps: usize, seed: u64) -> Drive {
     }
     let mut truth = Problem {
         rigs: vec![four_fisheyes()],
-        sessions: vec![Session::new(0); drives],
+        sessions: vec![SessionState::new(0); drives],
         ..Problem::default()
     };
     for session in 0..drives {
@@ -158,7 +158,7 @@ fn fixed_poses_blind_keyframes_and_what_nobody_sees_lie_in_regions_too() {
         .retain(|seen| !(30..33).contains(&seen.pose));
     // Never seen; never driven; a pose without anything.
     start.landmarks.push(Vector3::zeros());
-    start.sessions.push(Session::new(0));
+    start.sessions.push(SessionState::new(0));
     start.poses.push(Keyframe {
         session: 2,
         map_from_vehicle: Pose::from_yaw(1.0, 2.0, 3.0),

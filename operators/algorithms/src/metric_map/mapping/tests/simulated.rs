@@ -8,7 +8,7 @@ use nalgebra::{Matrix3, Rotation3, UnitQuaternion, Vector3};
 use crate::geometry::camera::{Camera, KannalaBrandt, Model};
 use crate::geometry::pose::Pose;
 use crate::geometry::rig::{Rig, RigCamera};
-use crate::metric_map::association::{Described, FeatureRef, Scene};
+use crate::metric_map::association::{DescriptorSource, FeatureRef, Scene};
 use crate::metric_map::features::{
     DESCRIPTOR_BYTES, Descriptor, Feature, ImageFeatures, KeyframeFeatures,
 };
@@ -327,7 +327,7 @@ pub(crate) struct Album<'a> {
     pub(crate) missing: Option<u32>,
 }
 
-impl Described<String> for Album<'_> {
+impl DescriptorSource<String> for Album<'_> {
     fn descriptors(&self, image: u32) -> Result<Cow<'_, [Descriptor]>, String> {
         if self.missing == Some(image) {
             return Err(format!("no descriptors of {image}"));

@@ -89,7 +89,7 @@ impl Estimate {
 }
 
 /// A point as the other panorama sees it.
-struct Seen {
+struct ProjectedPoint {
     /// In the other's optical frame (m).
     at: Vector3<f64>,
     /// Derivatives of the residuals by that point.
@@ -129,7 +129,7 @@ pub(super) struct Aligner<'a> {
     points: &'a [Point],
     other: &'a Level,
     by_brightness: bool,
-    seen: Vec<Seen>,
+    seen: Vec<ProjectedPoint>,
     sizes: Vec<f64>,
 }
 
@@ -169,7 +169,7 @@ impl<'a> Aligner<'a> {
                 Vector3::new(-at.y * at.x / level, level, -at.y * at.z / level) * (fy / range2);
             let along = |[_, du, dv]: [f32; 3]| around * f64::from(du) + up * f64::from(dv);
             let reference_grey = f64::from(point.grey);
-            self.seen.push(Seen {
+            self.seen.push(ProjectedPoint {
                 at,
                 brighter: along(sample.grey),
                 nearer: along(sample.inverse) + at / (range2 * range),
@@ -235,7 +235,7 @@ impl<'a> Aligner<'a> {
     }
 
     /// The standard deviation of a residual, from the median of its size.
-    fn deviation(&mut self, residual: impl Fn(&Seen) -> f64) -> Option<f64> {
+    fn deviation(&mut self, residual: impl Fn(&ProjectedPoint) -> f64) -> Option<f64> {
         self.sizes.clear();
         self.sizes
             .extend(self.seen.iter().map(|seen| residual(seen).abs()));
@@ -248,7 +248,7 @@ impl<'a> Aligner<'a> {
     }
 
     /// Both residuals of a point with their derivatives: `(row, residual, weight)`.
-    fn rows(&self, seen: &Seen, deviations: [f64; 2]) -> [(Unknowns, f64, f64); 2] {
+    fn rows(&self, seen: &ProjectedPoint, deviations: [f64; 2]) -> [(Unknowns, f64, f64); 2] {
         let row = |by_point: &Vector3<f64>, by_brightness: [f64; 2]| {
             let turn = seen.at.cross(by_point);
             let [gain, offset] = by_brightness;

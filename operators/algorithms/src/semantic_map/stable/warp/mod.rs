@@ -119,7 +119,7 @@ pub fn replaced(
     }
     let surface = surface.nearest();
     let told = hidden.told(&seen, &surface, kinds.len(), options.max_runner_up as f32);
-    let found = Found {
+    let found = Background {
         hidden: &hidden,
         surface: &surface,
         told: &told,
@@ -303,13 +303,13 @@ impl Surface {
 }
 
 /// What is behind pixels, as far as points tell.
-struct Found<'a> {
+struct Background<'a> {
     hidden: &'a Hidden<'a>,
     surface: &'a [f32],
     told: &'a [u8],
 }
 
-impl Found<'_> {
+impl Background<'_> {
     /// Whether a surface ends here in front of another one: the neighbour to some side is of another class, and farther
     /// away. Where exactly it ends, points do not tell to a pixel.
     fn is_edge(&self, number: usize) -> bool {

@@ -28,13 +28,13 @@ use tokio::sync::{OwnedSemaphorePermit, Semaphore};
 use tokio::time::{Instant, sleep_until, timeout};
 
 use crate::export::Selection;
-use crate::export::foxglove::{Images, Said};
+use crate::export::foxglove::{Images, TopicMessage};
 use crate::serve::access::{Who, is_this_machine};
 use crate::serve::http::{App, Asks, MapOf, Refusal};
 use crate::serve::maps::{Opened, ServedMap};
 
 use player::Player;
-use protocol::{Asked, Control, Status, Subscription};
+use protocol::{ClientMessage, Control, Status, Subscription};
 use recording::Recording;
 pub use recording::Recordings;
 
@@ -49,14 +49,14 @@ const TOGETHER: usize = 64;
 /// The page of the viewer that is a program in a browser. The others have no page, or one on this machine.
 const VIEWER: &str = "https://app.foxglove.dev";
 
-/// Places of viewers.
+/// Permits of viewers.
 pub fn viewers() -> Arc<Semaphore> {
     Arc::new(Semaphore::new(MOST_VIEWERS))
 }
 
 /// What is watched, and as whom: viewers in a browser have an address and nothing beside it.
 #[derive(Debug, Default, Deserialize)]
-pub struct Watched {
+pub struct LiveArguments {
     #[serde(default)]
     site: Option<String>,
     #[serde(default)]
@@ -74,7 +74,7 @@ pub fn token(uri: &Uri) -> Option<String> {
     if door != Some("foxglove") {
         return None;
     }
-    Query::<Watched>::try_from_uri(uri).ok()?.0.token
+    Query::<LiveArguments>::try_from_uri(uri).ok()?.0.token
 }
 
 /// Whether a page, by the header `Origin` that browsers send and pages cannot change, may watch: any page may open a
@@ -104,7 +104,7 @@ fn may_watch(headers: &HeaderMap, has_token: bool) -> bool {
 pub async fn watch(
     State(app): State<App>,
     MapOf(map): MapOf,
-    Asks(Query(watched)): Asks<Query<Watched>>,
+    Asks(Query(watched)): Asks<Query<LiveArguments>>,
     Extension(Who(user)): Extension<Who>,
     headers: HeaderMap,
     Asks(upgrade): Asks<WebSocketUpgrade>,
@@ -259,24 +259,24 @@ impl<'r> Viewer<'r> {
 
     async fn heard(&mut self, message: Message) -> Result<(), Gone> {
         let asked = match &message {
-            Message::Text(text) => Asked::of_text(text.as_str()),
-            Message::Binary(bytes) => Asked::of_bytes(bytes),
+            Message::Text(text) => ClientMessage::of_text(text.as_str()),
+            Message::Binary(bytes) => ClientMessage::of_bytes(bytes),
             _ => return Ok(()),
         };
         match asked {
-            Ok(Asked::Subscribe(subscriptions)) => {
+            Ok(ClientMessage::Subscribe(subscriptions)) => {
                 for subscription in subscriptions {
                     self.subscribe(subscription).await?;
                 }
                 Ok(())
             }
-            Ok(Asked::Unsubscribe(numbers)) => {
+            Ok(ClientMessage::Unsubscribe(numbers)) => {
                 self.subscriptions
                     .retain(|_, number| !numbers.contains(number));
                 Ok(())
             }
-            Ok(Asked::Play(control)) => self.play(control).await,
-            Ok(Asked::Nothing) => Ok(()),
+            Ok(ClientMessage::Play(control)) => self.play(control).await,
+            Ok(ClientMessage::Nothing) => Ok(()),
             Err(wrong) => self.out.error(&wrong).await,
         }
     }
@@ -356,7 +356,7 @@ impl<'r> Viewer<'r> {
             .filter_map(|message| Some((*message, *number(message)?)))
             .collect();
         let time = self.player.time(Instant::now());
-        let said: Vec<&Said> = asked
+        let said: Vec<&TopicMessage> = asked
             .iter()
             .map(|(message, _)| &recording.said[*message])
             .collect();

@@ -24,7 +24,7 @@ const CONTROL: u8 = 3;
 
 /// What a client asks for.
 #[derive(Debug, PartialEq)]
-pub enum Asked {
+pub enum ClientMessage {
     /// To be sent the messages of channels, by a number of the client's own.
     Subscribe(Vec<Subscription>),
     /// No longer to be, by those numbers.
@@ -72,7 +72,7 @@ enum Op {
     Other,
 }
 
-impl Asked {
+impl ClientMessage {
     /// Reads a text of the client.
     ///
     /// # Errors
@@ -224,20 +224,23 @@ mod tests {
             channel_id: 3,
         };
         assert_eq!(
-            Asked::of_text(subscribe),
-            Ok(Asked::Subscribe(vec![subscription]))
+            ClientMessage::of_text(subscribe),
+            Ok(ClientMessage::Subscribe(vec![subscription]))
         );
         let unsubscribe = r#"{"op":"unsubscribe","subscriptionIds":[7]}"#;
-        assert_eq!(Asked::of_text(unsubscribe), Ok(Asked::Unsubscribe(vec![7])));
+        assert_eq!(
+            ClientMessage::of_text(unsubscribe),
+            Ok(ClientMessage::Unsubscribe(vec![7]))
+        );
         let other = r#"{"op":"getParameters","parameterNames":["a"],"id":"1"}"#;
-        assert_eq!(Asked::of_text(other), Ok(Asked::Nothing));
+        assert_eq!(ClientMessage::of_text(other), Ok(ClientMessage::Nothing));
         for wrong in [
             "",
             "[]",
             "{}",
             r#"{"op":"subscribe","subscriptions":[{"id":-1}]}"#,
         ] {
-            assert!(Asked::of_text(wrong).is_err(), "{wrong}");
+            assert!(ClientMessage::of_text(wrong).is_err(), "{wrong}");
         }
     }
 
@@ -255,17 +258,23 @@ mod tests {
             seek: Some(5),
             request: "id".into(),
         };
-        assert_eq!(Asked::of_bytes(&bytes), Ok(Asked::Play(control)));
+        assert_eq!(
+            ClientMessage::of_bytes(&bytes),
+            Ok(ClientMessage::Play(control))
+        );
         for length in 1..bytes.len() {
-            assert!(Asked::of_bytes(&bytes[..length]).is_err(), "{length}");
+            assert!(
+                ClientMessage::of_bytes(&bytes[..length]).is_err(),
+                "{length}"
+            );
         }
         let mut endless = bytes.clone();
         endless[15..19].copy_from_slice(&u32::MAX.to_le_bytes());
-        assert!(Asked::of_bytes(&endless).is_err());
+        assert!(ClientMessage::of_bytes(&endless).is_err());
         for speed in [0.0, -1.0, f32::NAN, f32::INFINITY] {
             let mut wrong = bytes.clone();
             wrong[2..6].copy_from_slice(&speed.to_le_bytes());
-            assert!(Asked::of_bytes(&wrong).is_err(), "{speed}");
+            assert!(ClientMessage::of_bytes(&wrong).is_err(), "{speed}");
         }
     }
 }

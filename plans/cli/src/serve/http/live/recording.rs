@@ -12,13 +12,13 @@ use tokio::sync::Mutex;
 use super::protocol;
 use crate::ending::Lost;
 use crate::export::Selection;
-use crate::export::foxglove::{Said, said};
+use crate::export::foxglove::{TopicMessage, said};
 use crate::serve::maps::{Opened, ServedMap};
 
 /// What there is to say, in the order of time, and how it is divided among channels.
 pub struct Recording {
     /// The messages.
-    pub said: Vec<Said>,
+    pub said: Vec<TopicMessage>,
     /// Their instants, ns.
     pub stamps: Vec<i64>,
     /// Their channels.
@@ -32,10 +32,10 @@ pub struct Recording {
 }
 
 impl Recording {
-    fn new(said: Vec<Said>, map: &ServedMap) -> Result<Self, Fault> {
+    fn new(said: Vec<TopicMessage>, map: &ServedMap) -> Result<Self, Fault> {
         let memory = MemoryConsumer::new("a live recording").register(&map.runtime().memory_pool);
         memory
-            .try_grow(said.iter().map(Said::size).sum())
+            .try_grow(said.iter().map(TopicMessage::size).sum())
             .or_fault()?;
         let mut numbers: BTreeMap<&str, usize> = BTreeMap::new();
         let (mut channels, mut channel_of) = (Vec::new(), Vec::with_capacity(said.len()));

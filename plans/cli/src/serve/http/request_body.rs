@@ -18,22 +18,22 @@ use hyper::body::{Body, Frame, SizeHint};
 use tokio::time::Sleep;
 
 use crate::serve::http::Refusal;
-use crate::serve::patience::{Asked, PATIENCE};
+use crate::serve::patience::{PATIENCE, RequestSignal};
 
 /// The body of a request. Its connection has asked when it is there to its end.
-pub struct Heard<B> {
+pub struct RequestBody<B> {
     body: B,
-    asked: Asked,
+    asked: RequestSignal,
     late: Pin<Box<Sleep>>,
 }
 
-impl<B: Body> Heard<B> {
+impl<B: Body> RequestBody<B> {
     /// The body of a request whose head is there by now.
-    pub fn new(body: B, asked: Asked) -> Self {
+    pub fn new(body: B, asked: RequestSignal) -> Self {
         Self::within(PATIENCE, body, asked)
     }
 
-    fn within(time: Duration, body: B, asked: Asked) -> Self {
+    fn within(time: Duration, body: B, asked: RequestSignal) -> Self {
         if body.is_end_stream() {
             asked.now();
         }
@@ -42,7 +42,7 @@ impl<B: Body> Heard<B> {
     }
 }
 
-impl<B: Body + Unpin> Body for Heard<B>
+impl<B: Body + Unpin> Body for RequestBody<B>
 where
     B::Error: Into<BoxError>,
 {
@@ -143,8 +143,8 @@ mod tests {
 
     /// What is read of a body, and whether its connection has asked then.
     async fn read(body: axum::body::Body) -> (Result<Bytes, Refusal>, bool) {
-        let (short, asked) = (Duration::from_millis(20), Asked::default());
-        let heard = Heard::within(short, body, asked.clone());
+        let (short, asked) = (Duration::from_millis(20), RequestSignal::default());
+        let heard = RequestBody::within(short, body, asked.clone());
         let request = Request::new(axum::body::Body::new(heard));
         let read = Bytes::from_request(request, &()).await;
         let connection = asked.within(short, tokio::time::sleep(2 * short));

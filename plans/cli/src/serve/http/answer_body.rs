@@ -12,14 +12,14 @@ use crate::serve::patience::Exchange;
 const PIECE: usize = 64 << 10;
 
 /// The body of an answer. Its exchange is over when it is dropped, which is when all of it but what fits into buffers is taken.
-pub struct Given<B> {
+pub struct AnswerBody<B> {
     body: B,
     /// What is left of what the body gave.
     left: Bytes,
     exchange: Exchange,
 }
 
-impl<B> Given<B> {
+impl<B> AnswerBody<B> {
     /// The body of the answer of an exchange.
     pub fn new(body: B, exchange: Exchange) -> Self {
         Self {
@@ -30,7 +30,7 @@ impl<B> Given<B> {
     }
 }
 
-impl<B: Body<Data = Bytes> + Unpin> Body for Given<B> {
+impl<B: Body<Data = Bytes> + Unpin> Body for AnswerBody<B> {
     type Data = Bytes;
     type Error = B::Error;
 
@@ -80,7 +80,7 @@ mod tests {
     async fn an_answer_is_given_in_pieces_and_whole() {
         let bytes: Vec<u8> = (0..3 * PIECE + 1).map(|at| (at % 251) as u8).collect();
         let exchange = Exchanges::new(Duration::ZERO).begin();
-        let mut given = Given::new(axum::body::Body::from(bytes.clone()), exchange);
+        let mut given = AnswerBody::new(axum::body::Body::from(bytes.clone()), exchange);
         let mut taken = Vec::new();
         while !given.is_end_stream() {
             let left = (bytes.len() - taken.len()) as u64;

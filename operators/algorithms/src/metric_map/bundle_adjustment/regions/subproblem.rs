@@ -2,13 +2,13 @@
 
 use rayon::prelude::*;
 
-use super::super::taken::Sessions;
+use super::super::decomposition::Sessions;
 use super::super::{Observation, Odometry, Problem};
-use super::condensed::Place;
+use super::condensed::BlockIndex;
 use super::partition::{Homes, Lists};
 
 /// A region's part of the problem.
-pub(super) struct Part {
+pub(super) struct Subproblem {
     /// Its landmarks with their observations, the odometry from its poses, and copies of all poses and sessions that these
     /// name.
     pub(super) problem: Problem,
@@ -19,16 +19,16 @@ pub(super) struct Part {
     /// Which of its sessions are unknowns, and which it answers for.
     pub(super) sessions: Sessions,
     /// For each unknown block where it is.
-    pub(super) places: Vec<Place>,
+    pub(super) indices: Vec<BlockIndex>,
     /// For each that is shared its index in the boundary, ascending.
     pub(super) shared: Vec<u32>,
 }
 
 /// The parts, and how many unknowns they share.
-pub(super) fn split(problem: &Problem, homes: &Homes) -> (Vec<Part>, usize) {
+pub(super) fn split(problem: &Problem, homes: &Homes) -> (Vec<Subproblem>, usize) {
     let whole = Whole::new(problem, homes);
     let parts = 0..homes.count;
-    let mut parts: Vec<Part> = parts.into_par_iter().map(|at| whole.part(at)).collect();
+    let mut parts: Vec<Subproblem> = parts.into_par_iter().map(|at| whole.part(at)).collect();
     let shared = share(&mut parts, problem);
     (parts, shared)
 }
@@ -75,7 +75,7 @@ impl<'a> Whole<'a> {
         }
     }
 
-    fn part(&self, at: usize) -> Part {
+    fn part(&self, at: usize) -> Subproblem {
         let whole = self.problem;
         let observations = self.observations.of(at).iter();
         let observations = observations.map(|index| &whole.observations[*index as usize]);
@@ -110,13 +110,13 @@ impl<'a> Whole<'a> {
                 })
                 .collect(),
         };
-        Part {
+        Subproblem {
             problem: with_sessions(problem, &of_sessions),
             poses,
             of_sessions,
             landmarks,
             sessions,
-            places: Vec::new(),
+            indices: Vec::new(),
             shared: Vec::new(),
         }
     }
@@ -185,7 +185,7 @@ fn with_sessions(mut problem: Problem, of_sessions: &[u32]) -> Problem {
 }
 
 /// Numbers what several parts have, and tells each part which of its unknowns that is.
-fn share(parts: &mut [Part], problem: &Problem) -> usize {
+fn share(parts: &mut [Subproblem], problem: &Problem) -> usize {
     let poses = problem.poses.len();
     let mut parts_with = vec![0_u32; poses + problem.sessions.len()];
     for part in &*parts {
@@ -204,23 +204,23 @@ fn share(parts: &mut [Part], problem: &Problem) -> usize {
         let shared = unknowns.iter().filter_map(|unknown| numbers[*unknown]);
         part.shared = sorted(shared);
         let mut own = 0;
-        let places = unknowns.iter().map(|unknown| match numbers[*unknown] {
-            Some(number) => Place::Shared(place(&part.shared, number as usize) as u32),
+        let indices = unknowns.iter().map(|unknown| match numbers[*unknown] {
+            Some(number) => BlockIndex::Shared(place(&part.shared, number as usize) as u32),
             None => {
                 own += 1;
-                Place::Own(own - 1)
+                BlockIndex::Own(own - 1)
             }
         });
-        part.places = places.collect();
+        part.indices = indices.collect();
     }
     count as usize
 }
 
-impl Part {
+impl Subproblem {
     /// The unknown blocks that it has alone.
     pub(super) fn own(&self) -> impl Iterator<Item = usize> {
-        let places = self.places.iter().enumerate();
-        places.filter_map(|(block, place)| matches!(place, Place::Own(_)).then_some(block))
+        let indices = self.indices.iter().enumerate();
+        indices.filter_map(|(block, index)| matches!(index, BlockIndex::Own(_)).then_some(block))
     }
 
     /// Its unknown blocks in the whole: poses, then sessions.

@@ -7,24 +7,24 @@ use evermap_schemas::Fault;
 use crate::map::receipt::{Artifact, Extent, Receipt};
 use crate::map::store::Store;
 use crate::run::Run;
-use crate::run::pending::{Pending, Place};
+use crate::run::pending::{Pending, UnitId};
 
 /// The units of the version before, by what a person calls them: a session may be of another site since.
 #[derive(Debug)]
-pub struct Held<'r> {
+pub struct PreviousUnits<'r> {
     store: &'r Store,
     /// Its rows, and the digest of its recipe.
     units: BTreeMap<String, (&'r Artifact, &'r str)>,
 }
 
-impl Held<'_> {
+impl PreviousUnits<'_> {
     /// The receipt of a unit of the version before, whatever has become of its rows since; `None` where it had no such
     /// unit or the receipt is gone.
     ///
     /// # Errors
     /// As [`Receipt::read`].
-    pub async fn receipt(&self, place: &Place) -> Result<Option<Receipt>, Fault> {
-        match self.units.get(&place.label()) {
+    pub async fn receipt(&self, id: &UnitId) -> Result<Option<Receipt>, Fault> {
+        match self.units.get(&id.label()) {
             Some((_, digest)) => Receipt::read(self.store, digest).await,
             None => Ok(None),
         }
@@ -34,17 +34,17 @@ impl Held<'_> {
     /// was then.
     ///
     /// # Errors
-    /// As [`Held::receipt`].
+    /// As [`PreviousUnits::receipt`].
     pub async fn once(&self, unit: &Pending) -> Result<Option<Receipt>, Fault> {
         match unit.is_done_once() {
-            true => self.receipt(&unit.place).await,
+            true => self.receipt(&unit.id).await,
             false => Ok(None),
         }
     }
 
     /// The rows of a unit in the version before, if they were made by the recipe of this digest.
-    pub fn artifact(&self, place: &Place, digest: &str) -> Option<&Artifact> {
-        let (artifact, held) = self.units.get(&place.label())?;
+    pub fn artifact(&self, id: &UnitId, digest: &str) -> Option<&Artifact> {
+        let (artifact, held) = self.units.get(&id.label())?;
         (*held == digest).then_some(*artifact)
     }
 
@@ -61,7 +61,7 @@ impl Held<'_> {
 
 impl Run<'_> {
     /// The units of the version before.
-    pub fn held(&self) -> Held<'_> {
+    pub fn held(&self) -> PreviousUnits<'_> {
         let layers = self.base.iter().flat_map(|base| &base.layers);
         let units = layers.flat_map(|(stage, layer)| {
             let units = layer.artifacts.iter().zip(&layer.recipes);
@@ -70,7 +70,7 @@ impl Run<'_> {
                 (label, (artifact, digest.as_str()))
             })
         });
-        Held {
+        PreviousUnits {
             store: self.store,
             units: units.collect(),
         }

@@ -17,10 +17,10 @@ use serde_json::{Value, json};
 
 use super::drawn::is_answer;
 use super::made;
-use crate::annotate::features::Feature;
+use crate::annotate::features::DrawnFeature;
 use crate::annotate::geojson::of_image;
+use crate::annotate::mapped_image::plane_m;
 use crate::annotate::saying::{Speaker, read_back, said};
-use crate::annotate::seen::plane_m;
 use crate::annotate::state::{State, image_of, painted};
 use crate::annotate::{Losses, begin, taking_in, unwritten};
 use crate::ending::Lost;
@@ -29,7 +29,7 @@ use crate::reader::MapReader;
 use crate::serve::maps::Opened;
 
 /// A site with all that was said of it.
-pub(super) struct Told {
+pub(super) struct TaughtSite {
     pub(super) opened: Erased<Opened>,
     /// Where the map is, as the server was told.
     pub(super) map: String,
@@ -64,7 +64,7 @@ pub struct Saved {
     pub(super) kinds: BTreeSet<String>,
 }
 
-impl Told {
+impl TaughtSite {
     pub(super) async fn read(
         opened: Erased<Opened>,
         map: &str,
@@ -116,12 +116,12 @@ impl Told {
     }
 
     /// As [`State::know_images`]: to be asked before these features are said.
-    pub(super) async fn know_images(&mut self, features: &[Feature]) -> Result<(), Fault> {
+    pub(super) async fn know_images(&mut self, features: &[DrawnFeature]) -> Result<(), Fault> {
         let reader = &self.opened.reader;
         self.state.know_images(reader, features).await
     }
 
-    pub(super) fn say(&mut self, author: &str, features: &[Feature]) -> Result<Saved, Fault> {
+    pub(super) fn say(&mut self, author: &str, features: &[DrawnFeature]) -> Result<Saved, Fault> {
         let speaker = Speaker {
             author: author.to_owned(),
             stamp_ns: self.now(),
@@ -228,7 +228,7 @@ impl Told {
     }
 }
 
-impl Drop for Told {
+impl Drop for TaughtSite {
     fn drop(&mut self) {
         self.end(Duration::ZERO);
     }

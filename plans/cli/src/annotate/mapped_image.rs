@@ -11,7 +11,7 @@ use evermap_schemas::Fault;
 use nalgebra::Vector3;
 use serde_json::Value;
 
-use super::features::{Feature, Geometry, Point};
+use super::features::{DrawnFeature, Geometry, Point};
 use super::person_images::CORNER;
 use super::state::State;
 use crate::reader::MapReader;
@@ -46,7 +46,7 @@ pub async fn plane_m(reader: &MapReader, site: &str) -> Result<f64, Fault> {
 }
 
 /// An image, and what the map knows of it.
-pub struct Seen<'a> {
+pub struct MappedImage<'a> {
     image: &'a ImageKey,
     /// Width and height, px.
     size: [u32; 2],
@@ -55,7 +55,7 @@ pub struct Seen<'a> {
     params: PeopleParams,
 }
 
-impl<'a> Seen<'a> {
+impl<'a> MappedImage<'a> {
     /// An image of this width and height (px) of a map; `plane_m` is the height of the ground in the vehicle frame.
     ///
     /// # Errors
@@ -124,7 +124,7 @@ impl<'a> Seen<'a> {
 
     /// The feature that says something of who stands at a point of the vehicle frame (m): a small box in the map, tied to
     /// the image. `place` says which one, for people.
-    pub fn feature(&self, place: String, standing: &str, [x, y]: [f64; 2]) -> Feature {
+    pub fn feature(&self, place: String, standing: &str, [x, y]: [f64; 2]) -> DrawnFeature {
         let corners = [[1.0, 1.0], [-1.0, 1.0], [-1.0, -1.0], [1.0, -1.0]];
         let corner = |[ahead, left]: [f64; 2]| -> Point {
             let plane_m = self.params.plane_m;
@@ -132,7 +132,7 @@ impl<'a> Seen<'a> {
             let at = self.map_from_vehicle.transform(&at);
             ([at.x, at.y], Some(at.z))
         };
-        Feature {
+        DrawnFeature {
             place,
             label: None,
             within_m: None,

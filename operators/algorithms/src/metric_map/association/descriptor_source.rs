@@ -9,7 +9,7 @@ use crate::metric_map::features::{DESCRIPTOR_BYTES, Descriptor};
 
 /// The descriptors of a scene's features: all in memory, or fetched when they are looked at. That may be several times. `E`
 /// is why they may be out of reach.
-pub trait Described<E>: Sync {
+pub trait DescriptorSource<E>: Sync {
     /// Of the image of this index, by feature.
     ///
     /// # Errors
@@ -23,9 +23,9 @@ const IN_A_ROW: usize = 16;
 /// The descriptors of these features, in their order. Each image is looked at once.
 ///
 /// # Errors
-/// As [`Described::descriptors`].
+/// As [`DescriptorSource::descriptors`].
 pub fn descriptors_of<E: Send>(
-    described: &dyn Described<E>,
+    described: &dyn DescriptorSource<E>,
     features: &[FeatureRef],
 ) -> Result<Vec<Descriptor>, E> {
     let mut order: Vec<usize> = (0..features.len()).collect();
@@ -64,7 +64,7 @@ mod tests {
         Descriptor([(10 * image + feature) as u8; DESCRIPTOR_BYTES])
     }
 
-    impl Described<u32> for Numbered {
+    impl DescriptorSource<u32> for Numbered {
         fn descriptors(&self, image: u32) -> Result<Cow<'_, [Descriptor]>, u32> {
             self.looked_at.lock().unwrap().push(image);
             let all = (0..4).map(|feature| look(image, feature));

@@ -15,7 +15,7 @@ pub(super) struct Sessions {
 }
 
 /// A problem taken apart for its equations.
-pub(super) struct Taken<'a> {
+pub(super) struct Decomposition<'a> {
     pub(super) bundle: Vehicles<'a>,
     /// Unknown blocks.
     pub(super) blocks: usize,
@@ -34,7 +34,7 @@ pub(super) fn schur<'a>(
         held: problem.sessions.len(),
         unknown: problem.sessions.len(),
     };
-    let Taken {
+    let Decomposition {
         bundle,
         blocks,
         landmarks,
@@ -50,7 +50,7 @@ pub(super) fn take<'a>(
     problem: &'a Problem,
     options: &'a Options,
     sessions: Sessions,
-) -> Taken<'a> {
+) -> Decomposition<'a> {
     let mut free = 0;
     let blocks: Vec<u32> = problem
         .poses
@@ -72,7 +72,7 @@ pub(super) fn take<'a>(
             observation: index as u32,
         })
         .collect();
-    Taken {
+    Decomposition {
         pairs: pairs(problem, &blocks, first_session),
         landmarks: problem.landmarks.iter().map(|p| (*p).into()).collect(),
         sights,

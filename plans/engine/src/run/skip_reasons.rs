@@ -8,14 +8,14 @@ use std::collections::BTreeMap;
 
 use crate::map::receipt::Extent;
 use crate::program::LIFT;
-use crate::run::pending::Place;
+use crate::run::pending::UnitId;
 
 /// Steps that are named of those that tell the same.
 const NAMED: usize = 3;
 
 /// What units skipped, by reason.
 #[derive(Debug, Default)]
-pub struct Told<'r> {
+pub struct SkipReasons<'r> {
     reasons: BTreeMap<&'r str, Skipped<'r>>,
 }
 
@@ -28,12 +28,12 @@ struct Skipped<'r> {
     most: BTreeMap<&'r Extent, u64>,
 }
 
-impl<'r> Told<'r> {
+impl<'r> SkipReasons<'r> {
     /// Adds what a unit skipped, by reason.
-    pub fn add(&mut self, place: &'r Place, skipped: &'r BTreeMap<String, u64>) {
+    pub fn add(&mut self, id: &'r UnitId, skipped: &'r BTreeMap<String, u64>) {
         for (reason, count) in skipped {
             let of_reason = self.reasons.entry(reason.as_str()).or_default();
-            of_reason.add(place, *count);
+            of_reason.add(id, *count);
         }
     }
 
@@ -46,12 +46,12 @@ impl<'r> Told<'r> {
 }
 
 impl<'r> Skipped<'r> {
-    fn add(&mut self, place: &'r Place, count: u64) {
-        let step = place.stage.trim_end_matches(LIFT);
+    fn add(&mut self, id: &'r UnitId, count: u64) {
+        let step = id.stage.trim_end_matches(LIFT);
         if !self.steps.contains(&step) {
             self.steps.push(step);
         }
-        let most = self.most.entry(&place.extent).or_default();
+        let most = self.most.entry(&id.extent).or_default();
         *most = count.max(*most);
     }
 
@@ -112,12 +112,12 @@ mod tests {
             };
             let stage = (*stage).to_owned();
             let skipped = BTreeMap::from([((*reason).to_owned(), *count)]);
-            (Place { stage, extent }, skipped)
+            (UnitId { stage, extent }, skipped)
         });
         let units: Vec<_> = units.collect();
-        let mut told = Told::default();
-        for (place, skipped) in &units {
-            told.add(place, skipped);
+        let mut told = SkipReasons::default();
+        for (id, skipped) in &units {
+            told.add(id, skipped);
         }
         told.lines()
     }

@@ -15,7 +15,7 @@ use crate::error::{external, fault_of};
 
 /// What stands in a statement.
 #[derive(Default)]
-pub struct Written {
+pub struct StatementText {
     /// What stands in double quotes where a column may stand.
     quoted: Vec<String>,
     /// Whether a query says in which format its rows are wanted.
@@ -35,7 +35,7 @@ pub fn placed(error: DataFusionError, place: Option<Span>) -> DataFusionError {
     }
 }
 
-impl Written {
+impl StatementText {
     /// Reads a statement.
     ///
     /// # Errors
@@ -75,7 +75,7 @@ impl Written {
     }
 }
 
-impl Visitor for Written {
+impl Visitor for StatementText {
     type Break = Infallible;
 
     fn pre_visit_query(&mut self, query: &Query) -> ControlFlow<Infallible> {
