@@ -12,6 +12,7 @@ where it has none, at GTSAM's chordal start (LAGO on the plane), which their tim
 
 import argparse
 import json
+import os
 import pathlib
 import subprocess
 import sys
