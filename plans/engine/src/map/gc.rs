@@ -9,6 +9,7 @@ use serde::Serialize;
 use crate::fingerprint;
 use crate::map::lease::{self, Lease};
 use crate::map::newest;
+use crate::map::opened::no_version;
 use crate::map::parts::PARTS;
 use crate::map::receipt::{Artifact, RECEIPTS, Receipt};
 use crate::map::records::record_version;
@@ -33,11 +34,15 @@ pub struct Collected {
 /// older version than they are.
 ///
 /// # Errors
-/// A user fault for `keep` 0, a resource fault beside a run, where the process was suspended so long that a run may have begun,
+/// A user fault for `keep` 0, and where no version is there that reads: what it needs would not be known, and the folder may be
+/// no map; a resource fault beside a run, where the process was suspended so long that a run may have begun,
 /// or when the store does not do it.
 pub async fn gc(store: &Store, keep: usize, dry: bool) -> Result<Collected, Fault> {
     if keep == 0 {
         return Err(Fault::user("a map keeps at least one version").next("use --keep 1 or more"));
+    }
+    if Version::numbers(store).await?.is_empty() {
+        return Err(no_version(store).await?);
     }
     let lease = match dry {
         true => None,
@@ -94,6 +99,10 @@ async fn collect(taking: &Taking<'_>, keep: usize) -> Result<Collected, Fault> {
                 Unread::Kept(fault) => return Err(fault),
             },
         }
+    }
+    if versions.is_empty() {
+        let none = "expected a version that reads, found none: what the map's files are needed for is not known";
+        return Err(Fault::user(none).next("publish a version by `evermap run`, or remove the folder by hand"));
     }
     let kept = versions.split_off(versions.len().saturating_sub(keep));
     let forgotten = versions;
@@ -152,6 +161,7 @@ fn is_older(record: &str, oldest: Option<u64>) -> bool {
 mod tests {
     #![allow(clippy::unwrap_used)]
     use super::*;
+    use crate::map::verify::verify;
 
     #[tokio::test]
     async fn records_of_runs_go_with_the_versions_they_ended_at() {
@@ -167,6 +177,28 @@ mod tests {
         let kept: Vec<String> = kept.into_iter().map(|(name, _)| name).collect();
         let expected = ["000002-b", "000003-c", "000004-d", "mine"];
         assert_eq!(kept, expected.map(|name| format!("{RUNS}/{name}.parquet")));
+    }
+
+    /// A folder of somebody's that is called as one of a map's, and a map whose versions were lost.
+    #[tokio::test]
+    async fn where_no_version_is_nothing_is_taken() {
+        let folder = tempfile::tempdir().unwrap();
+        let store = Store::open(folder.path().to_str().unwrap(), true).unwrap();
+        let none = gc(&store, 1, false).await.unwrap_err();
+        assert!(none.to_string().contains("no map at"), "{none}");
+        assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 0);
+        let rows = Artifact::name_of("rows");
+        store.write(&rows, vec![7]).await.unwrap();
+        let none = gc(&store, 1, false).await.unwrap_err();
+        assert!(none.to_string().contains("has no version yet"), "{none}");
+        store.write(&Version::name(1), vec![7]).await.unwrap();
+        let torn = gc(&store, 1, false).await.unwrap_err();
+        assert!(torn.to_string().contains("found none"), "{torn}");
+        assert!(store.read(&rows).await.unwrap().is_some());
+        verify(&store, None).await.unwrap();
+        store.remove(&Version::name(1)).await.unwrap();
+        let none = verify(&store, None).await.unwrap_err();
+        assert!(none.to_string().contains("has no version yet"), "{none}");
     }
 
     #[tokio::test]

@@ -33,6 +33,19 @@ async fn begun(store: &Store) -> Result<bool, Fault> {
     Ok(false)
 }
 
+/// That a store has no version: there is no map, or its first run has not ended.
+///
+/// # Errors
+/// A resource fault when the store does not answer.
+pub(super) async fn no_version(store: &Store) -> Result<Fault, Fault> {
+    let address = address(store);
+    if !begun(store).await? {
+        return Ok(no_map(&address));
+    }
+    let fault = Fault::user(format!("the map at {address} has no version yet"));
+    Ok(fault.next("finish a run of `evermap run`"))
+}
+
 /// Where a store is, as people write it.
 fn address(store: &Store) -> String {
     match folder(store) {
@@ -91,15 +104,10 @@ impl Map {
             Some(number) => Some(Version::read(&store, number).await?),
             None => Version::latest(&store).await?,
         };
-        let Some(version) = version else {
-            let address = address(&store);
-            if !begun(&store).await? {
-                return Err(no_map(&address));
-            }
-            let fault = Fault::user(format!("the map at {address} has no version yet"));
-            return Err(fault.next("finish a run of `evermap run`"));
-        };
-        Ok(Self::of(store, version))
+        match version {
+            Some(version) => Ok(Self::of(store, version)),
+            None => Err(no_version(&store).await?),
+        }
     }
 
     /// A version that was read.
