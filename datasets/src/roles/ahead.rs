@@ -40,6 +40,7 @@ pub(super) fn batches<T: LayerRow>(
         channels: part.channels_of(topic).map(|c| c.id).collect(),
         predicate: None,
         schema: &schema,
+        indexed: &[],
     }
     .units();
     Ok(stream(Job {

@@ -31,6 +31,8 @@ pub(crate) struct ScanRequest<'a> {
     /// Filters, in terms of `schema`.
     pub predicate: Option<&'a Arc<dyn PhysicalExpr>>,
     pub schema: &'a SchemaRef,
+    /// Columns of it of which the index knows something.
+    pub indexed: &'static [&'static str],
 }
 
 impl ScanRequest<'_> {
@@ -86,6 +88,7 @@ impl ScanRequest<'_> {
         let statistics = CandidateStatistics {
             part: self.part,
             candidates,
+            indexed: self.indexed,
         };
         pruning
             .and_then(|pruning| pruning.prune(&statistics))
@@ -97,6 +100,7 @@ impl ScanRequest<'_> {
 struct CandidateStatistics<'a> {
     part: &'a LogPart,
     candidates: &'a [(usize, Option<u16>)],
+    indexed: &'static [&'static str],
 }
 
 impl CandidateStatistics<'_> {
@@ -115,6 +119,9 @@ impl CandidateStatistics<'_> {
 
     /// Of the log time this bound; of other columns their value, where it is one for all rows of a candidate.
     fn bound(&self, column: &str, time: impl Fn(&Unit) -> i64) -> Option<ArrayRef> {
+        if !self.indexed.contains(&column) {
+            return None;
+        }
         match column {
             "log_time" => Some(self.times(time)),
             "session" => Some(self.texts(|_| Some(self.part.session.to_string()))),

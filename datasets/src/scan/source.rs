@@ -216,6 +216,7 @@ impl McapSource {
                     channels: channels.filter(|channel| rows.wants(*channel)).collect(),
                     predicate: self.predicate.as_ref(),
                     schema: self.table_schema.file_schema(),
+                    indexed: self.table.indexed_columns(),
                 }
                 .units()
             }

@@ -40,6 +40,12 @@ pub trait LogTable: Debug + Send + Sync {
         ""
     }
 
+    /// Its columns of which a log's index knows something: when a message was recorded, on which topic, in which session and of
+    /// which site.
+    fn indexed_columns(&self) -> &'static [&'static str] {
+        &["log_time", "topic", "session", "site"]
+    }
+
     /// Whether a file has anything of it; others are not opened.
     fn is_in(&self, part: &LogPart) -> bool;
 

@@ -96,6 +96,11 @@ impl LogTable for TopicTable {
         &self.topic
     }
 
+    /// Messages may have a topic and a site of their own.
+    fn indexed_columns(&self) -> &'static [&'static str] {
+        &["log_time", "session"]
+    }
+
     fn is_in(&self, part: &LogPart) -> bool {
         part.has_any(std::slice::from_ref(&self.topic))
     }

@@ -170,6 +170,45 @@ async fn sessions_and_topics_that_are_not_there_cost_nothing() {
     assert_eq!(rows, 1000);
 }
 
+/// What a message says of topics and sites is its own, and no column that the index knows of.
+#[tokio::test]
+async fn messages_with_a_topic_and_a_site_of_their_own_are_all_looked_at() {
+    let options = mcap::WriteOptions::new().chunk_size(Some(200));
+    let mut bytes = Cursor::new(Vec::new());
+    let mut log = options.create(&mut bytes).unwrap();
+    let fields = br#"{"type": "object", "properties": {
+        "topic": {"type": "string"}, "site": {"type": "string"}, "session": {"type": "string"}
+    }}"#;
+    let schema = log.add_schema("Statistics", "jsonschema", fields).unwrap();
+    let topic = log.add_channel(schema, "/statistics", "json", &BTreeMap::new());
+    for sequence in 0..20 {
+        let header = mcap::records::MessageHeader {
+            channel_id: *topic.as_ref().unwrap(),
+            sequence,
+            log_time: sequence.into(),
+            publish_time: 0,
+        };
+        let of = if sequence % 3 == 0 { "/imu" } else { "/odom" };
+        let said = format!(r#"{{"topic": "{of}", "site": "lot", "session": "{of}"}}"#);
+        log.write_to_known_channel(&header, said.as_bytes()).unwrap();
+    }
+    log.finish().unwrap();
+    drop(log);
+    let log = bytes.into_inner();
+    for (filter, found) in [
+        ("topic = '/imu'", 7),
+        ("site = 'lot'", 20),
+        ("session_ = '/imu'", 7),
+        ("topic > '/imu' AND log_time < TIMESTAMP '1970-01-01T00:00:01Z'", 13),
+        ("session = 'log'", 20),
+        ("session = '/imu'", 0),
+    ] {
+        let query = format!("SELECT * FROM \"/statistics\" WHERE {filter}");
+        let (context, ..) = opened(&log).await;
+        assert_eq!(count(&context, &query).await, found, "{filter}");
+    }
+}
+
 /// A log with so many attachments of so many bytes, as many metadata records, and a message behind each.
 fn records(many: u32, bytes: usize) -> Vec<u8> {
     let options = mcap::WriteOptions::new()
