@@ -635,6 +635,54 @@ fn sorts_windows_groups_and_joins_larger_than_memory_are_answered_from_disk() {
     }
 }
 
+/// Little memory has them joined by merging, as there may be no room for a side.
+#[test]
+fn joins_with_little_memory_answer_as_those_with_much() {
+    let (_folder, map) = mapped();
+    let instants = |numbers: &str| {
+        format!(
+            "(SELECT arrow_cast(value, 'Timestamp(ns, \"UTC\")') AS t FROM generate_series({numbers}))"
+        )
+    };
+    let numbers = |numbers: &str, part: u32| {
+        format!(
+            "(SELECT value AS i, coalesce(value % {part}, 0) AS k FROM generate_series({numbers}))"
+        )
+    };
+    let (many, even) = (instants("1, 30000"), instants("2, 60000, 2"));
+    let (left, right) = (numbers("1, 30000", 7), numbers("2, 60000, 2", 5));
+    let outer = |kind: &str| {
+        format!(
+            "SELECT count(*), count(a.k), count(b.k), sum(a.k), sum(b.k) FROM {left} a {kind} JOIN {right} b ON a.i = b.i AND a.k < b.k"
+        )
+    };
+    let mut queries = vec![
+        format!("SELECT count(*) FROM {many} a WHERE t IN (SELECT t FROM {even})"),
+        format!("SELECT count(*) FROM {many} a WHERE t NOT IN (SELECT t FROM {even})"),
+        format!(
+            "SELECT count(*) FROM {many} a WHERE NOT EXISTS (SELECT 1 FROM {even} b WHERE b.t = a.t)"
+        ),
+        format!("SELECT count(*) FROM (SELECT t FROM {many} INTERSECT SELECT t FROM {even})"),
+        format!("SELECT count(*) FROM (SELECT t FROM {many} EXCEPT SELECT t FROM {even})"),
+        format!("SELECT count(*) FROM {many} a JOIN {even} b ON a.t = b.t"),
+        format!(
+            "SELECT count(*) FROM {many} a WHERE (t - TIMESTAMP '1970-01-01T00:00:00Z') IN (SELECT t - TIMESTAMP '1970-01-01T00:00:00Z' FROM {even})"
+        ),
+    ];
+    queries.extend(["LEFT", "RIGHT", "FULL", "INNER"].map(outer));
+    for query in &queries {
+        let [little, much] = ["64MiB", "4GiB"].map(|memory| {
+            let map = text(&map);
+            let asked = [
+                "sql", "--map", map, "--memory", memory, "--format", "csv", query,
+            ];
+            evermap(&asked).expect(0).stdout
+        });
+        assert_eq!(little, much, "{query}");
+        assert!(!little.contains("\n0\n"), "{query}: {little}");
+    }
+}
+
 #[test]
 fn what_a_killed_query_put_aside_goes_with_the_next_that_puts_something_aside() {
     let ((_folder, map), temporary) = (mapped(), tempfile::tempdir().unwrap());

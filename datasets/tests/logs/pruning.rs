@@ -190,7 +190,8 @@ async fn messages_with_a_topic_and_a_site_of_their_own_are_all_looked_at() {
         };
         let of = if sequence % 3 == 0 { "/imu" } else { "/odom" };
         let said = format!(r#"{{"topic": "{of}", "site": "lot", "session": "{of}"}}"#);
-        log.write_to_known_channel(&header, said.as_bytes()).unwrap();
+        log.write_to_known_channel(&header, said.as_bytes())
+            .unwrap();
     }
     log.finish().unwrap();
     drop(log);
@@ -199,7 +200,10 @@ async fn messages_with_a_topic_and_a_site_of_their_own_are_all_looked_at() {
         ("topic = '/imu'", 7),
         ("site = 'lot'", 20),
         ("session_ = '/imu'", 7),
-        ("topic > '/imu' AND log_time < TIMESTAMP '1970-01-01T00:00:01Z'", 13),
+        (
+            "topic > '/imu' AND log_time < TIMESTAMP '1970-01-01T00:00:01Z'",
+            13,
+        ),
         ("session = 'log'", 20),
         ("session = '/imu'", 0),
     ] {

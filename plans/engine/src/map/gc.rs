@@ -102,7 +102,8 @@ async fn collect(taking: &Taking<'_>, keep: usize) -> Result<Collected, Fault> {
     }
     if versions.is_empty() {
         let none = "expected a version that reads, found none: what the map's files are needed for is not known";
-        return Err(Fault::user(none).next("publish a version by `evermap run`, or remove the folder by hand"));
+        return Err(Fault::user(none)
+            .next("publish a version by `evermap run`, or remove the folder by hand"));
     }
     let kept = versions.split_off(versions.len().saturating_sub(keep));
     let forgotten = versions;

@@ -35,6 +35,7 @@ use datafusion::sql::sqlparser::ast::{
 };
 
 use crate::sql::as_of::condition::{Condition, Matching};
+use crate::sql::compared::compare;
 
 pub use node::{AsOfJoin, Planner};
 
@@ -276,8 +277,10 @@ impl Sides<'_> {
         let Some(common) = comparison_coercion(&types.0, &types.1) else {
             return plan_err!("ASOF JOIN: {} and {} do not compare", types.0, types.1);
         };
-        let left = left.clone().cast_to(&common, self.left)?;
-        let right = right.clone().cast_to(&common, self.right)?;
+        let mut left = left.clone().cast_to(&common, self.left)?;
+        let mut right = right.clone().cast_to(&common, self.right)?;
+        compare(&mut left, self.left);
+        compare(&mut right, self.right);
         Ok(Some((left, op, right)))
     }
 }

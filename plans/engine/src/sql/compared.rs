@@ -27,11 +27,13 @@ use datafusion::optimizer::AnalyzerRule;
 use datafusion::prelude::SessionContext;
 
 use crate::sql::compared::grouped::of_groups;
-use crate::sql::compared::plain::{compare, compare_all, has_twins, innermost, number};
+use crate::sql::compared::plain::{compare_all, has_twins, innermost, number};
 use crate::sql::compared::rows::of_rows;
 use crate::sql::compared::windows::of_window;
 use crate::sql::lengths::WHOLE;
 use crate::sql::literals::is_comparison;
+
+pub use self::plain::compare;
 
 /// Functions that compare their arguments, or items of them, by bits, and tell whether or where they are.
 const FINDING: [&str; 5] = [

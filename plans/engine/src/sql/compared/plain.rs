@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use arrow::array::{
-    Array, ArrayRef, AsArray, FixedSizeListArray, GenericListArray, OffsetSizeTrait,
+    Array, ArrayRef, AsArray, FixedSizeListArray, GenericListArray, OffsetSizeTrait, StructArray,
 };
 use arrow::datatypes::{
     ArrowPrimitiveType, DataType, FieldRef, Float16Type, Float32Type, Float64Type,
@@ -53,8 +53,10 @@ pub fn number(value: &Expr) -> Option<Option<f64>> {
 
 /// Whether there are values of a type that are equal and have other bits.
 pub fn has_twins(kind: &DataType) -> bool {
-    let item = innermost(kind);
-    item.is_floating() || *item == lengths::WHOLE
+    match innermost(kind) {
+        DataType::Struct(members) => members.iter().any(|member| has_twins(member.data_type())),
+        item => item.is_floating() || *item == lengths::WHOLE,
+    }
 }
 
 /// What lists have, and lists of lists.
@@ -179,6 +181,13 @@ fn plain(values: &ArrayRef) -> Result<ArrayRef> {
         DataType::Interval(IntervalUnit::MonthDayNano) => {
             let intervals = values.as_primitive::<IntervalMonthDayNanoType>();
             Arc::new(intervals.unary::<_, IntervalMonthDayNanoType>(lengths::plain))
+        }
+        DataType::Struct(members) => {
+            let rows = values.as_struct();
+            let columns = rows.columns().iter().map(plain).collect::<Result<_>>()?;
+            let (members, nulls) = (members.clone(), rows.nulls().cloned());
+            let rows = StructArray::try_new_with_length(members, columns, nulls, rows.len())?;
+            Arc::new(rows)
         }
         DataType::List(item) => list::<i32>(values, item)?,
         DataType::LargeList(item) => list::<i64>(values, item)?,
