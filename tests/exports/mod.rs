@@ -1,10 +1,13 @@
 //! Maps in the formats of other programs, read by these programs' own readers.
 
 use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
 
 use evermap_tests::recording::is_read_as_the_map_says;
 use evermap_tests::server::{Server, map, script};
-use evermap_tests::{Finished, evermap, page, rows_of, rows_of_log, run_of_site, simulate, text};
+use evermap_tests::{
+    Finished, command, evermap, page, rows_of, rows_of_log, run_of_site, simulate, text,
+};
 
 /// Danger and speeds where the vehicle was, as cells of 2 m.
 const CELLS: &str = r#"
@@ -94,6 +97,52 @@ fn no_output_takes_the_place_of_a_drive_or_of_what_is_the_maps() {
     }
     assert!(link.is_symlink());
     evermap(&["verify", "--map", map]).expect(0);
+}
+
+#[test]
+fn a_recording_goes_into_pipes_and_devices_and_two_at_once_are_whole() {
+    let folder = tempfile::tempdir().unwrap();
+    let map = map(folder.path());
+    let within = |name: &str| folder.path().join(name);
+    let [pipe, copy, recording] = ["pipe", "copy.mcap", "recording.mcap"].map(within);
+    let beside = within("recording.mcap.part");
+    std::fs::write(&beside, "mine").unwrap();
+    let export = |out: &Path| {
+        let head = ["export", "--map", text(&map), "--format", "mcap"];
+        command(&[&head[..], &["--out", text(out)]].concat())
+    };
+    let mut quiet = export(&recording);
+    let quiet = quiet.stdout(Stdio::null()).stderr(Stdio::piped());
+    let twice = [quiet.spawn().unwrap(), quiet.spawn().unwrap()];
+    for one in twice {
+        Finished::from(one.wait_with_output().unwrap()).expect(0);
+    }
+    let topics = "SELECT DISTINCT topic FROM channels ORDER BY topic";
+    let expected = rows_of_log(&recording, topics);
+    assert!(!expected.as_array().unwrap().is_empty());
+    assert_eq!(std::fs::read(&beside).unwrap(), b"mine");
+
+    let made = Command::new("mkfifo").arg(&pipe).status();
+    assert!(made.unwrap().success());
+    let reader = std::thread::spawn({
+        let pipe = pipe.clone();
+        move || std::fs::read(pipe).unwrap()
+    });
+    Finished::from(export(&pipe).output().unwrap()).expect(0);
+    std::fs::write(&copy, reader.join().unwrap()).unwrap();
+    assert_eq!(rows_of_log(&copy, topics), expected);
+    let null = within("null");
+    std::os::unix::fs::symlink("/dev/null", &null).unwrap();
+    Finished::from(export(&null).output().unwrap()).expect(0);
+    let is_kept = |path: &Path| !path.metadata().unwrap().is_file();
+    assert!(is_kept(&pipe) && is_kept(&null) && is_kept(Path::new("/dev/null")));
+
+    let refused = Finished::from(export(folder.path()).output().unwrap()).expect(1);
+    let told = "expected a file, found a folder";
+    assert!(refused.stderr.contains(told), "{}", refused.stderr);
+    let names = std::fs::read_dir(folder.path()).unwrap();
+    let mut names = names.map(|entry| entry.unwrap().file_name());
+    assert!(!names.any(|name| name.to_string_lossy().starts_with(".evermap-")));
 }
 
 #[test]

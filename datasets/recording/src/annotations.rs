@@ -14,6 +14,7 @@ use mcap::records::MessageHeader;
 use mcap::{WriteOptions, Writer};
 
 use crate::failed;
+use crate::partial::folder;
 
 pub use crate::RecordingError;
 pub use evermap_messages::annotation::{Anchor, Annotation, DrawnPixels, Geometry, OnImage};
@@ -144,14 +145,6 @@ pub fn parts(target: &Path) -> Vec<PathBuf> {
         .collect();
     found.sort();
     found.into_iter().map(|(_, path)| path).collect()
-}
-
-/// The folder that a file is in.
-fn folder(path: &Path) -> &Path {
-    let parent = path
-        .parent()
-        .filter(|parent| !parent.as_os_str().is_empty());
-    parent.unwrap_or(Path::new("."))
 }
 
 /// A new file for the next part. Of two programs that ask at once, each gets one of its own.

@@ -1,6 +1,7 @@
 //! Messages recorded as MCAP: those of ROS 2 that imports and simulated worlds write, and what people say about maps.
 
 pub mod annotations;
+mod partial;
 mod recorder;
 
 use evermap_messages::ros2::Message;
@@ -10,6 +11,8 @@ use std::collections::BTreeMap;
 use std::fs::File;
 use std::io::BufWriter;
 use std::path::{Path, PathBuf};
+
+use partial::Partial;
 
 pub use recorder::recorder_of;
 
@@ -43,28 +46,24 @@ pub enum RecordingError {
         /// Whose log is there.
         found: String,
     },
+    /// A folder is where the file should be (the user's to name another).
+    #[error("cannot write {}: expected a file, found a folder; name a file in it", path.display())]
+    Folder {
+        /// Which folder.
+        path: PathBuf,
+    },
     /// The MCAP writer refused a message (a bug).
     #[error("cannot write MCAP: {0}")]
     Mcap(McapError),
 }
 
-/// A log being written. It appears under its name only when it is complete.
+/// A log being written. It appears under its name only when it is complete; a pipe or a device gets it then.
 pub struct LogWriter {
     writer: Writer<BufWriter<File>>,
     /// Messages so far, by channel.
     sent: BTreeMap<u16, u32>,
     /// Closed by then.
     partial: Partial,
-    target: PathBuf,
-}
-
-/// A file that is gone with what writes it, unless it has another name by then.
-struct Partial(PathBuf);
-
-impl Drop for Partial {
-    fn drop(&mut self) {
-        let _ = std::fs::remove_file(&self.0);
-    }
 }
 
 /// When something happened, ns since the epoch.
@@ -84,8 +83,7 @@ impl LogWriter {
     /// [`RecordingError`], as of all that is written, and as [`LogWriter::may_replace`].
     pub fn create(target: &Path, library: &str, profile: &str) -> Result<Self, RecordingError> {
         Self::may_replace(target, library)?;
-        let partial = Partial(target.with_extension("mcap.part"));
-        let file = File::create(&partial.0).map_err(|error| failed(&partial.0, error.into()))?;
+        let (file, partial) = Partial::of(target)?;
         let options = WriteOptions::new()
             .profile(profile)
             .library(library)
@@ -95,10 +93,9 @@ impl LogWriter {
             .chunk_size(Some(1 << 20));
         let writer = options.create(BufWriter::with_capacity(1 << 18, file));
         Ok(Self {
-            writer: writer.map_err(|error| failed(&partial.0, error))?,
+            writer: writer.map_err(|error| failed(partial.place(), error))?,
             sent: BTreeMap::new(),
             partial,
-            target: target.to_owned(),
         })
     }
 
@@ -149,9 +146,9 @@ impl LogWriter {
         metadata: &BTreeMap<String, String>,
     ) -> Result<u16, RecordingError> {
         let schema = self.writer.add_schema(name, kind, text);
-        let schema = schema.map_err(|error| failed(&self.partial.0, error))?;
+        let schema = schema.map_err(|error| failed(self.partial.place(), error))?;
         let channel = self.writer.add_channel(schema, topic, encoding, metadata);
-        channel.map_err(|error| failed(&self.partial.0, error))
+        channel.map_err(|error| failed(self.partial.place(), error))
     }
 
     /// Says what the values of label images mean, by value; nothing where there are none.
@@ -167,7 +164,7 @@ impl LogWriter {
         }
         let name = "label_classes".to_owned();
         let written = self.writer.write_metadata(&Metadata { name, metadata });
-        written.map_err(|error| failed(&self.partial.0, error))
+        written.map_err(|error| failed(self.partial.place(), error))
     }
 
     /// Writes one encoded message; the caller keeps log times in order.
@@ -189,21 +186,21 @@ impl LogWriter {
         };
         *sent += 1;
         let written = self.writer.write_to_known_channel(&header, payload);
-        written.map_err(|error| failed(&self.partial.0, error))
+        written.map_err(|error| failed(self.partial.place(), error))
     }
 
-    /// Completes the file, gives it its name, and says how many messages and bytes it holds.
+    /// Completes the log, gives the file its name, or a pipe or a device all of it, and says how many messages and bytes it
+    /// holds.
     ///
     /// # Errors
     /// [`RecordingError`].
     pub fn finish(mut self) -> Result<(u64, u64), RecordingError> {
-        let fail = |error| failed(&self.partial.0, error);
+        let fail = |error| failed(self.partial.place(), error);
         self.writer.finish().map_err(fail)?;
         let file = self.writer.into_inner().into_inner();
         let file = file.map_err(|error| fail(error.into_error().into()))?;
         let bytes = file.metadata().map_err(|error| fail(error.into()))?.len();
-        std::fs::rename(&self.partial.0, &self.target)
-            .map_err(|error| failed(&self.target, error.into()))?;
+        self.partial.finish(file)?;
         let messages = self.sent.values().map(|sent| u64::from(*sent)).sum();
         Ok((messages, bytes))
     }

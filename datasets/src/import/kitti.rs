@@ -30,11 +30,11 @@ pub struct Kitti {
 }
 
 impl Kitti {
-    /// Writes the log.
+    /// Writes the log, as long as `is_stopped` does not say that nobody wants it any more.
     ///
     /// # Errors
     /// A user fault when a file is missing or malformed, a resource fault when `out` cannot be written.
-    pub fn write(&self, out: &Path) -> Result<Imported, Fault> {
+    pub fn write(&self, out: &Path, is_stopped: &dyn Fn() -> bool) -> Result<Imported, Fault> {
         let times = match &self.times {
             Some(path) => Some(poses::times(path)?),
             None => None,
@@ -66,7 +66,7 @@ impl Kitti {
             }
             cameras.push(self.camera(images)?);
         }
-        log::write(out, &cameras, &trajectory, &[])
+        log::write(out, &cameras, &trajectory, &[], is_stopped)
     }
 
     fn camera(&self, images: Vec<(u64, PathBuf)>) -> Result<Camera, Fault> {

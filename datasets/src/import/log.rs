@@ -48,12 +48,13 @@ enum Event {
 }
 
 /// Writes cameras, poses (ns, `odom_from_vehicle`) and the classes of label images (by value) in time order. The file
-/// appears only once it is complete.
+/// appears only once it is complete, and not at all where somebody stops before.
 pub(super) fn write(
     out: &Path,
     cameras: &[Camera],
     poses: &[(u64, Isometry3<f64>)],
     classes: &[String],
+    is_stopped: &dyn Fn() -> bool,
 ) -> Result<Imported, Fault> {
     let mut events: Vec<(u64, Event)> = Vec::new();
     let stamps = poses.iter().enumerate();
@@ -90,6 +91,9 @@ pub(super) fn write(
     let named = named.map(|(value, name)| (value.to_string(), name.clone()));
     log.label_classes(named.collect()).map_err(fault)?;
     for (stamp, event) in &events {
+        if is_stopped() {
+            return Err(Fault::user("stopped"));
+        }
         let stamp = *stamp;
         match event {
             Event::Pose(i) => {
@@ -196,7 +200,9 @@ fn send_image(
 
 fn fault(error: RecordingError) -> Fault {
     match error {
-        RecordingError::Kept { .. } => Fault::user(error.to_string()),
+        RecordingError::Kept { .. } | RecordingError::Folder { .. } => {
+            Fault::user(error.to_string())
+        }
         _ => Fault::resource(error.to_string()),
     }
 }

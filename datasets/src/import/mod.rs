@@ -157,11 +157,11 @@ impl ImageImport {
         self
     }
 
-    /// Writes the log.
+    /// Writes the log, as long as `is_stopped` does not say that nobody wants it any more.
     ///
     /// # Errors
     /// A user fault when something is missing or contradicts itself, a resource fault when `out` cannot be written.
-    pub fn write(&self, out: &Path) -> Result<Imported, Fault> {
+    pub fn write(&self, out: &Path, is_stopped: &dyn Fn() -> bool) -> Result<Imported, Fault> {
         self.check_names()?;
         let vehicle_from_reference = match &self.vehicle_from_reference {
             Some(placement) => placement
@@ -175,7 +175,7 @@ impl ImageImport {
             cameras.push(loaded.map_err(|fault| fault.at(format!("camera {}", camera.name)))?);
         }
         let poses = self.odom_from_vehicle(&image_stamps(&cameras))?;
-        log::write(out, &cameras, &poses, &self.classes()?)
+        log::write(out, &cameras, &poses, &self.classes()?, is_stopped)
     }
 
     /// That each camera has a name of its own, as its topics and its frame have that name.

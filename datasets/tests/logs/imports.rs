@@ -32,7 +32,10 @@ async fn four_fisheyes_of_a_car_park_become_a_rig() {
     )
     .unwrap();
     let out = scratch.path().join("pjlab.mcap");
-    let imported = ImageImport::load(&copy).unwrap().write(&out).unwrap();
+    let imported = ImageImport::load(&copy)
+        .unwrap()
+        .write(&out, &|| false)
+        .unwrap();
     assert_eq!((imported.images, imported.poses), (4, 1));
 
     let (context, dataset) = open(&[out.display().to_string()], 2).await;
@@ -88,7 +91,7 @@ async fn kitti_drives_forward() {
         images: Some(folder.join("kitti00_seq/image_0")),
         calibration: Some(folder.join("kitti00_seq/K.txt")),
     };
-    let imported = kitti.write(&out).unwrap();
+    let imported = kitti.write(&out, &|| false).unwrap();
     assert_eq!(imported.images, 100);
     let (context, _) = open(&[out.display().to_string()], 2).await;
     let poses: Vec<OdometryPose> = read(&context, "SELECT * FROM odometry ORDER BY stamp").await;
@@ -119,7 +122,7 @@ async fn labelled_images_come_with_their_labels_and_classes() {
     let import = ImageImport::load(Path::new(description))
         .unwrap()
         .within(&folder);
-    let imported = import.write(&out).unwrap();
+    let imported = import.write(&out, &|| false).unwrap();
     assert_eq!((imported.images, imported.labels), (50, 50));
 
     let (context, dataset) = open(&[out.display().to_string()], 2).await;
@@ -161,7 +164,7 @@ fn import(folder: &Path, described: &str, beside: &[(&str, &str)]) -> Result<Imp
     }
     let description = folder.join("import.yaml");
     std::fs::write(&description, described).unwrap();
-    ImageImport::load(&description)?.write(&folder.join("out.mcap"))
+    ImageImport::load(&description)?.write(&folder.join("out.mcap"), &|| false)
 }
 
 /// One camera with the images of the folder.
@@ -259,7 +262,9 @@ fn images_of_several_sizes_are_refused_of_a_kitti_sequence_too() {
         calibration: Some(calibration),
         ..Kitti::default()
     };
-    let fault = kitti.write(&scratch.path().join("out.mcap")).unwrap_err();
+    let fault = kitti
+        .write(&scratch.path().join("out.mcap"), &|| false)
+        .unwrap_err();
     let fault = fault.to_string();
     assert!(
         fault.contains("found 3 x 4") && fault.contains("000001.png"),
@@ -298,6 +303,19 @@ fn a_file_of_poses_without_any_is_refused() {
             );
         }
     }
+}
+
+#[test]
+fn an_import_that_is_stopped_leaves_nothing() {
+    let scratch = tempfile::tempdir().unwrap();
+    let out = scratch.path().join("out.mcap");
+    import(scratch.path(), FRONT, &[]).unwrap();
+    std::fs::remove_file(&out).unwrap();
+    let before = std::fs::read_dir(scratch.path()).unwrap().count();
+    let stopped = ImageImport::load(&scratch.path().join("import.yaml")).unwrap();
+    let fault = stopped.write(&out, &|| true).unwrap_err();
+    assert!(fault.to_string().contains("stopped"), "{fault}");
+    assert_eq!(std::fs::read_dir(scratch.path()).unwrap().count(), before);
 }
 
 #[test]

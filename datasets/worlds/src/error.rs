@@ -18,6 +18,9 @@ pub enum WorldError {
     /// A file could not be written.
     #[error(transparent)]
     File(#[from] RecordingError),
+    /// Nobody wants it any more (the user's decision).
+    #[error("stopped")]
+    Stopped,
     /// The JPEG encoder refused an image (a bug).
     #[error("cannot encode JPEG: {0}")]
     Jpeg(#[from] jpeg_encoder::EncodingError),

@@ -26,7 +26,7 @@ mod vehicle;
 pub use car_park::{CarPark, car_park};
 pub use error::WorldError;
 pub use evermap_recording::RecordingError;
-pub use record::{Progress, SessionSummary, Summary};
+pub use record::{Progress, SessionSummary, Stopped, Summary};
 pub use street::{
     LabelKind, LabelView, STREET_CLASSES, STREET_COLOURS, Street, StreetLabels, street,
     street_labels,

@@ -52,6 +52,7 @@ pub mod shipped;
 mod shots;
 pub mod shown;
 mod stable;
+mod standard_input;
 mod stopped;
 mod threads;
 

@@ -1,6 +1,6 @@
 //! Plans by path, or by name where they ship with the program, and the manifests that go with them.
 
-use std::io::{ErrorKind, Read};
+use std::io::ErrorKind;
 use std::path::Path;
 
 use evermap_datasets::{Manifest, without_mark};
@@ -10,6 +10,7 @@ use evermap_schemas::Fault;
 
 use crate::arguments::{PlanArgs, SessionArgs};
 use crate::ending::Failure;
+use crate::standard_input::standard_input;
 
 /// The plans that ship: name and text, sorted by name.
 pub const PLANS: &[(&str, &str)] = include!(concat!(env!("OUT_DIR"), "/plans.rs"));
@@ -58,7 +59,7 @@ fn origin(shipped: &str) -> String {
 /// Reads a plan: a file, `-` for standard input, or the name of a plan that ships.
 fn read(plan: &str, settings: Vec<String>) -> Result<PlanText, Failure> {
     let (origin, bytes) = match plan {
-        "-" => (plan.to_owned(), standard_input()?),
+        "-" => (plan.to_owned(), standard_input("a plan")?),
         _ => file_or_shipped(Path::new(plan), plan)?,
     };
     let source = source(origin, &bytes).map_err(|faults| Failure::Plan(faults.pretty()))?;
@@ -81,14 +82,6 @@ fn find(name: &str, extended_by: &str) -> Result<Source, String> {
 fn source(origin: String, bytes: &[u8]) -> Result<Source, PlanFaults> {
     let text = without_mark(utf8(bytes, &origin)?).to_owned();
     Ok(Source { origin, text })
-}
-
-fn standard_input() -> Result<Vec<u8>, Fault> {
-    let mut bytes = Vec::new();
-    match std::io::stdin().read_to_end(&mut bytes) {
-        Ok(_) => Ok(bytes),
-        Err(error) => Err(Fault::user(format!("cannot read the plan: {error}"))),
-    }
 }
 
 /// Where a plan is from, and its bytes.

@@ -327,6 +327,34 @@ fn queries_are_read_from_standard_input() {
 }
 
 #[test]
+fn what_comes_by_standard_input_without_an_end_is_refused() {
+    let (_folder, map) = made_up_map();
+    for (command, what) in [
+        (&["check", "-"][..], "a plan"),
+        (&["sql", "--map", &map], "queries"),
+    ] {
+        let mut child = Command::new(env!("CARGO_BIN_EXE_evermap"))
+            .args(command)
+            .stdin(Stdio::piped())
+            .stdout(Stdio::null())
+            .stderr(Stdio::piped())
+            .spawn()
+            .unwrap();
+        let mut sent = child.stdin.take().unwrap();
+        let yes = "y\n".repeat(1 << 15);
+        // Until nobody reads any more.
+        let pieces = (0..1 << 14).map(|_| std::io::Write::write_all(&mut sent, yes.as_bytes()));
+        assert!(pieces.take_while(Result::is_ok).count() < 1 << 10);
+        drop(sent);
+        let ended = child.wait_with_output().unwrap();
+        assert_eq!(ended.status.code(), Some(1));
+        let told = String::from_utf8_lossy(&ended.stderr).into_owned();
+        let expected = format!("expected {what} of at most 4 MiB, found more");
+        assert!(told.contains(&expected), "{told}");
+    }
+}
+
+#[test]
 fn who_reads_a_beginning_and_goes_is_no_failure_in_any_format_of_text() {
     let query = "SELECT value, repeat('a', 1000) AS text FROM generate_series(1, 20000)";
     let (_folder, map) = made_up_map();
@@ -731,12 +759,20 @@ fn a_real_log_becomes_a_road_network() {
 #[cfg(unix)]
 #[test]
 fn a_stopped_simulation_leaves_no_half_session() {
+    for (world, signal) in [("car_park", "-INT"), ("street", "-TERM")] {
+        stopped(world, signal);
+    }
+}
+
+/// Stops the simulation of a world while it writes a session.
+#[cfg(unix)]
+fn stopped(world: &str, signal: &str) {
     let folder = tempfile::tempdir().unwrap();
     let out = folder.path().join("world");
     let mut child = Command::new(env!("CARGO_BIN_EXE_evermap"))
         .args([
             "simulate",
-            "car_park",
+            world,
             "--out",
             out.to_str().unwrap(),
             "--progress",
@@ -746,11 +782,15 @@ fn a_stopped_simulation_leaves_no_half_session() {
         .stderr(Stdio::piped())
         .spawn()
         .unwrap();
-    // It is at a session once it has begun the file of one.
-    let is_begun = || {
+    let names = || -> Vec<String> {
         let files = std::fs::read_dir(&out).into_iter().flatten().flatten();
-        let mut names = files.map(|file| file.file_name().to_string_lossy().into_owned());
-        names.any(|name| name.ends_with(".mcap.part"))
+        let names = files.map(|file| file.file_name().to_string_lossy().into_owned());
+        names.collect()
+    };
+    // It is at a session once the truth is there and something else is begun.
+    let is_begun = || {
+        let names = names();
+        names.iter().any(|name| name == "truth") && names.len() > 1
     };
     let begun = std::time::Instant::now();
     while !is_begun() {
@@ -759,7 +799,7 @@ fn a_stopped_simulation_leaves_no_half_session() {
         std::thread::sleep(Duration::from_millis(10));
     }
     let stop = Command::new("kill")
-        .args(["-INT", &child.id().to_string()])
+        .args([signal, &child.id().to_string()])
         .status()
         .unwrap();
     assert!(stop.success());
@@ -767,11 +807,5 @@ fn a_stopped_simulation_leaves_no_half_session() {
     let status = child.wait().unwrap();
     assert!(begun.elapsed().as_secs() < 10, "it stops at once");
     assert_eq!(status.code(), Some(1));
-    let mcaps = std::fs::read_dir(&out).into_iter().flatten().flatten();
-    assert_eq!(
-        mcaps
-            .filter(|file| file.path().extension().is_some_and(|ext| ext == "mcap"))
-            .count(),
-        0
-    );
+    assert_eq!(names(), ["truth"], "nothing half-written is left");
 }

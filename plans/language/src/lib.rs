@@ -63,6 +63,7 @@ pub use plan::{
 pub use print::wrapped;
 pub use suggest::{listed, nearest};
 pub use vocabulary::{Host, OperatorSpec, ParameterFault, PortSpec, QueryFault, Vocabulary};
+pub use yaml::LONGEST_TEXT;
 
 /// Reads and checks a plan, with all that it extends, and the `defaults` of the session manifest that the host has.
 ///

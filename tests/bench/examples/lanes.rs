@@ -267,7 +267,7 @@ fn places(shared: &Path) -> Result<Vec<Place>, Failure> {
             rate_hz: 12.5,
             ..CarPark::default()
         };
-        car_park(&park, &out, &mut |_| {})?;
+        car_park(&park, &out, &mut |_| {}, &|| false)?;
         places.push(world(&format!("simulated, seed {seed}"), &out)?);
     }
     fs::remove_dir_all(&folder)?;

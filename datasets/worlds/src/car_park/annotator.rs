@@ -10,7 +10,7 @@ use super::layout::{AISLES, BAY_DEPTH_M, BAY_WIDTH_M, Layout, NOSE_M, Node, Rect
 use crate::WorldError;
 use crate::plane::{Pose2, between, distance, heading};
 use crate::random::nanoseconds;
-use crate::record::{LIBRARY, SimulatedSession};
+use crate::record::{LIBRARY, SimulatedSession, partial};
 use crate::vehicle::Ground;
 use evermap_algorithms::geometry::pose::Pose;
 use evermap_algorithms::ground::boxes::GroundBox;
@@ -41,12 +41,10 @@ const ENDS_M: f64 = 0.5;
 /// Writes `annotations.mcap` into `out`, in place of an older one, and gives its path.
 pub(super) fn write(hall: &Hall<'_>, out: &Path) -> Result<PathBuf, WorldError> {
     let target = out.join("annotations.mcap");
-    let partial = out.join("annotations.mcap.part");
-    if partial.exists() {
-        std::fs::remove_file(&partial).map_err(|error| WorldError::io(&partial, error))?;
-    }
     LogWriter::may_replace(&target, LIBRARY)?;
-    let mut log = AnnotationLog::begin(&partial, |_| false, LIBRARY)?;
+    let partial = partial(out).map_err(|error| WorldError::io(&target, error))?;
+    let whole = partial.path().join("annotations.mcap");
+    let mut log = AnnotationLog::begin(&whole, |_| false, LIBRARY)?;
     log.say_all(&said(hall))?;
     let written = log.finish()?;
     std::fs::rename(&written, &target).map_err(|error| WorldError::io(&target, error))?;

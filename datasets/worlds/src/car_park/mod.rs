@@ -34,7 +34,7 @@ pub(crate) use route::Route;
 pub(crate) use visit::Visit;
 
 use crate::WorldError;
-use crate::record::{Progress, Recorded, Sensors, Summary, Tell, World, jpeg, simulate};
+use crate::record::{Progress, Recorded, Sensors, Stopped, Summary, Waits, World, jpeg, simulate};
 use crate::render::Lens;
 use canvas::Canvas;
 use exposure::Exposure;
@@ -51,15 +51,17 @@ use std::path::{Path, PathBuf};
 /// `truth`, and `annotations.mcap` where it is asked for. Each file appears under its name only when it is complete.
 ///
 /// # Errors
-/// [`WorldError::Parameters`] before anything is written; otherwise when a file cannot be.
+/// [`WorldError::Parameters`] before anything is written, [`WorldError::Stopped`] once `is_stopped` says that nobody wants
+/// it any more; otherwise when a file cannot be written.
 pub fn car_park(
     world: &CarPark,
     out: &Path,
     progress: &mut dyn FnMut(Progress),
+    is_stopped: &Stopped<'_>,
 ) -> Result<Summary, WorldError> {
     world.check()?;
     let hall = Hall::new(world);
-    let mut summary = simulate(&hall, out, progress)?;
+    let mut summary = simulate(&hall, out, progress, is_stopped)?;
     if world.annotations {
         summary.annotations = Some(annotator::write(&hall, out)?);
     }
@@ -123,7 +125,7 @@ impl World for Hall<'_> {
         truth::write(self, out)
     }
 
-    fn record(&self, visit: &Visit, out: &Path, tell: &mut Tell<'_>) -> Recorded {
+    fn record(&self, visit: &Visit, out: &Path, waits: &mut Waits<'_>) -> Recorded {
         let params = self.params;
         let studio = Studio {
             seed: params.seed,
@@ -143,6 +145,6 @@ impl World for Hall<'_> {
             let image = jpeg(size, ColorType::Luma, params.jpeg_quality, &grey)?;
             Ok(vec![image])
         };
-        visit.session.record(out, &self.sensors(), &take, tell)
+        visit.session.record(out, &self.sensors(), &take, waits)
     }
 }

@@ -9,11 +9,12 @@ use super::scene::Scene;
 use super::{Layout, Studio, Visit};
 use crate::render::Lens;
 use crate::vehicle::Wheels;
-use crate::{CarPark, WorldError, car_park};
+use crate::{CarPark, Progress, WorldError, car_park};
 use nalgebra::Vector3;
 use std::collections::BTreeMap;
 use std::fs;
 use std::path::Path;
+use std::sync::atomic::{AtomicBool, Ordering};
 
 fn small() -> CarPark {
     CarPark {
@@ -48,7 +49,7 @@ fn simulated(world: &CarPark, threads: usize) -> BTreeMap<String, Vec<u8>> {
         .num_threads(threads)
         .build()
         .unwrap();
-    pool.install(|| car_park(world, folder.path(), &mut |_| {}))
+    pool.install(|| car_park(world, folder.path(), &mut |_| {}, &|| false))
         .unwrap();
     contents(folder.path())
 }
@@ -72,7 +73,7 @@ fn bytes_do_not_depend_on_threads_but_on_the_seed() {
         "truth/initial.tum",
     ];
     assert!(expected.iter().all(|name| one.contains_key(*name)));
-    assert!(one.keys().all(|name| !name.contains("part")));
+    assert!(one.keys().all(|name| !name.contains(".evermap-")));
     let other = simulated(&CarPark { seed: 2, ..world }, 2);
     for name in ["initial.mcap", "truth/overhead.png", "truth/cars.json"] {
         assert!(
@@ -93,10 +94,15 @@ fn sessions_read_back_with_the_stamps_of_the_truth() {
     let folder = tempfile::tempdir().unwrap();
     let world = small();
     let mut told = 0;
-    let summary = car_park(&world, folder.path(), &mut |progress| {
-        told += 1;
-        assert!(progress.all_images <= progress.all_images_total);
-    })
+    let summary = car_park(
+        &world,
+        folder.path(),
+        &mut |progress| {
+            told += 1;
+            assert!(progress.all_images <= progress.all_images_total);
+        },
+        &|| false,
+    )
     .unwrap();
     assert_eq!(
         told,
@@ -296,6 +302,21 @@ fn visitors_change_and_residents_stay() {
 }
 
 #[test]
+fn a_world_that_is_stopped_keeps_whole_sessions_and_nothing_else() {
+    let folder = tempfile::tempdir().unwrap();
+    let is_over = AtomicBool::new(false);
+    let tell = &mut |now: Progress| {
+        is_over.store(now.session == "revisit_1", Ordering::Relaxed);
+    };
+    let is_stopped = || is_over.load(Ordering::Relaxed);
+    let error = car_park(&small(), folder.path(), tell, &is_stopped).unwrap_err();
+    assert!(matches!(error, WorldError::Stopped), "{error}");
+    let left = contents(folder.path());
+    let left = left.keys().filter(|name| !name.starts_with("truth/"));
+    assert_eq!(left.collect::<Vec<_>>(), ["initial.mcap"]);
+}
+
+#[test]
 fn unusable_parameters_are_all_named() {
     let world = CarPark {
         width_px: 0,
@@ -305,7 +326,7 @@ fn unusable_parameters_are_all_named() {
         ..CarPark::default()
     };
     let folder = tempfile::tempdir().unwrap();
-    let error = car_park(&world, folder.path(), &mut |_| {}).unwrap_err();
+    let error = car_park(&world, folder.path(), &mut |_| {}, &|| false).unwrap_err();
     let WorldError::Parameters { faults } = error else {
         panic!("{error}")
     };

@@ -6,30 +6,31 @@ use serde_json::Value;
 use std::fmt::Write as _;
 use std::fs;
 use std::path::{Path, PathBuf};
+use tempfile::TempDir;
 
-/// A folder being filled.
+/// A folder being filled. It is gone with what fills it, unless it was finished by then.
 pub struct Folder {
-    part: PathBuf,
+    /// Of a name that nobody else has.
+    part: TempDir,
     done: PathBuf,
 }
 
 impl Folder {
     /// Starts the folder `name` in `out`; an older one stays until this one is finished.
     pub fn create(out: &Path, name: &str) -> Result<Self, WorldError> {
-        let (part, done) = (out.join(format!("{name}.part")), out.join(name));
-        remove(&part)?;
-        fs::create_dir_all(&part).map_err(|error| WorldError::io(&part, error))?;
+        let done = out.join(name);
+        let part = partial(out).map_err(|error| WorldError::io(&done, error))?;
         Ok(Self { part, done })
     }
 
     /// Where it is filled.
     pub fn path(&self) -> &Path {
-        &self.part
+        self.part.path()
     }
 
     /// Writes a file in it, and the folder that the file is in.
     pub fn save(&self, name: &str, bytes: &[u8]) -> Result<(), WorldError> {
-        let path = self.part.join(name);
+        let path = self.path().join(name);
         if let Some(parent) = path.parent() {
             fs::create_dir_all(parent).map_err(|error| WorldError::io(parent, error))?;
         }
@@ -63,9 +64,20 @@ impl Folder {
     /// Gives it its name, in place of an older one.
     pub fn finish(self) -> Result<PathBuf, WorldError> {
         remove(&self.done)?;
-        fs::rename(&self.part, &self.done).map_err(|error| WorldError::io(&self.done, error))?;
+        fs::rename(self.path(), &self.done).map_err(|error| WorldError::io(&self.done, error))?;
+        // There is nothing to be removed under its old name.
+        let _ = self.part.keep();
         Ok(self.done)
     }
+}
+
+/// A new folder in another one. It is gone with what fills it.
+pub fn partial(out: &Path) -> std::io::Result<TempDir> {
+    let mut builder = tempfile::Builder::new();
+    builder.prefix(".evermap-");
+    #[cfg(unix)]
+    builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o777));
+    builder.tempdir_in(out)
 }
 
 fn remove(folder: &Path) -> Result<(), WorldError> {

@@ -7,7 +7,7 @@ mod folder;
 mod picture;
 mod session;
 
-pub use folder::Folder;
+pub use folder::{Folder, partial};
 pub use picture::{deep_png, grey_png, jpeg};
 pub use session::{CameraTopics, Sensors, SimulatedSession, shutter};
 
@@ -73,21 +73,30 @@ pub trait World {
     /// Writes what is true of all sessions into a folder in `out`, and gives its path.
     fn write_truth(&self, out: &Path) -> Result<PathBuf, WorldError>;
 
-    /// Writes one session into `out`; `tell` learns how many images are written.
-    fn record(&self, visit: &Self::Visit, out: &Path, tell: &mut Tell<'_>) -> Recorded;
+    /// Writes one session into `out`, for who waits for it.
+    fn record(&self, visit: &Self::Visit, out: &Path, waits: &mut Waits<'_>) -> Recorded;
 }
 
-/// Learns how many images of a session are written.
-pub type Tell<'a> = dyn FnMut(usize) + 'a;
+/// Whether nobody wants a simulation any more.
+pub type Stopped<'a> = dyn Fn() -> bool + Sync + 'a;
+
+/// Who waits for a session.
+pub struct Waits<'a> {
+    /// Learns how many images are written.
+    pub tell: &'a mut dyn FnMut(usize),
+    /// Is asked before each image.
+    pub is_stopped: &'a Stopped<'a>,
+}
 
 /// A session as written, or why it was not.
 pub type Recorded = Result<SessionSummary, WorldError>;
 
-/// Writes a world's truth and sessions into `out`.
+/// Writes a world's truth and sessions into `out`, as long as `is_stopped` does not say that nobody wants them.
 pub fn simulate(
     world: &impl World,
     out: &Path,
     progress: &mut dyn FnMut(Progress),
+    is_stopped: &Stopped<'_>,
 ) -> Result<Summary, WorldError> {
     for visit in world.visits() {
         LogWriter::may_replace(&visit.as_ref().log_in(out), LIBRARY)?;
@@ -102,13 +111,14 @@ pub fn simulate(
     let mut before = 0;
     for visit in visits {
         let session = visit.as_ref();
-        let written = world.record(visit, out, &mut |written| {
+        let tell = &mut |written: usize| {
             progress(Progress {
                 session: session.name.clone(),
                 all_images: before + written,
                 all_images_total,
             });
-        })?;
+        };
+        let written = world.record(visit, out, &mut Waits { tell, is_stopped })?;
         before += images(session);
         sessions.push(written);
     }

@@ -1,6 +1,6 @@
 //! One drive, and how its log is written.
 
-use super::{LIBRARY, Recorded, SessionSummary, Tell};
+use super::{LIBRARY, Recorded, SessionSummary, Stopped, Waits};
 use crate::WorldError;
 use crate::random::{nanoseconds, normal, stream};
 use crate::vehicle::{ANTENNA, Imu, OdometrySample, Receiver, SENSOR, Trajectory, Wheels};
@@ -134,13 +134,13 @@ impl SimulatedSession {
         folder.join(format!("{}.mcap", self.name))
     }
 
-    /// Renders the session and writes its log into `folder`; `tell` learns how many images are written.
+    /// Renders the session and writes its log into `folder`, for who waits for it.
     pub fn record(
         &self,
         folder: &Path,
         sensors: &Sensors,
         take: &Take<'_>,
-        tell: &mut Tell<'_>,
+        waits: &mut Waits<'_>,
     ) -> Recorded {
         let path = self.log_in(folder);
         let mut log = LogWriter::create(&path, LIBRARY, "ros2")?;
@@ -150,6 +150,7 @@ impl SimulatedSession {
             shots: self.stamps.len(),
             cameras: sensors.cameras.len(),
             take,
+            is_stopped: waits.is_stopped,
             rendered: 0,
             images: BTreeMap::new(),
         };
@@ -160,7 +161,7 @@ impl SimulatedSession {
                 Content::Image(wanted @ [shot, camera, image]) => {
                     written += 1;
                     if usize::is_multiple_of(written, sensors.images.len()) {
-                        tell(written / sensors.images.len());
+                        (waits.tell)(written / sensors.images.len());
                     }
                     let message = CompressedImage {
                         header: sensors.cameras[camera].header(self.stamps[shot]),
@@ -276,6 +277,7 @@ struct Darkroom<'a> {
     shots: usize,
     cameras: usize,
     take: &'a Take<'a>,
+    is_stopped: &'a Stopped<'a>,
     /// Shots rendered so far.
     rendered: usize,
     /// By shot, camera and image.
@@ -291,14 +293,17 @@ impl Darkroom<'_> {
         Ok(self.images.remove(&wanted).unwrap_or_default())
     }
 
-    /// Renders the shots before `to`.
+    /// Renders the shots before `to`; not all of them where somebody stops.
     fn render(&mut self, to: usize) -> Result<(), WorldError> {
-        let (cameras, take) = (self.cameras, self.take);
+        let (cameras, take, is_stopped) = (self.cameras, self.take, self.is_stopped);
         let wanted = self.rendered * cameras..to * cameras;
         let batch: Result<Vec<Vec<Vec<u8>>>, WorldError> = wanted
             .clone()
             .into_par_iter()
-            .map(|index| take(index / cameras, index % cameras))
+            .map(|index| match is_stopped() {
+                true => Err(WorldError::Stopped),
+                false => take(index / cameras, index % cameras),
+            })
             .collect();
         for (index, taken) in wanted.zip(batch?) {
             for (image, encoded) in taken.into_iter().enumerate() {

@@ -31,8 +31,8 @@ pub use views::{LabelKind, LabelView, StreetLabels, street_labels};
 use crate::WorldError;
 use crate::random::{normal, stream};
 use crate::record::{
-    Folder, Progress, Recorded, Sensors, SessionSummary, Summary, Tell, World, deep_png, grey_png,
-    jpeg, simulate,
+    Folder, Progress, Recorded, Sensors, SessionSummary, Stopped, Summary, Waits, World, deep_png,
+    grey_png, jpeg, simulate,
 };
 use classes::Class;
 use jpeg_encoder::ColorType;
@@ -46,13 +46,15 @@ use visit::Visit;
 /// all. Each folder appears under its name only when it is complete.
 ///
 /// # Errors
-/// [`WorldError::Parameters`] before anything is written; otherwise when a file cannot be.
+/// [`WorldError::Parameters`] before anything is written, [`WorldError::Stopped`] once `is_stopped` says that nobody wants
+/// it any more; otherwise when a file cannot be written.
 pub fn street(
     world: &Street,
     out: &Path,
     progress: &mut dyn FnMut(Progress),
+    is_stopped: &Stopped<'_>,
 ) -> Result<Summary, WorldError> {
-    simulate(&street_labels(world)?, out, progress)
+    simulate(&street_labels(world)?, out, progress, is_stopped)
 }
 
 /// The images of a shot; colour and depth only if they are wanted.
@@ -88,13 +90,13 @@ impl World for StreetLabels {
         truth::write_world(self, out)
     }
 
-    fn record(&self, visit: &Visit, out: &Path, tell: &mut Tell<'_>) -> Recorded {
+    fn record(&self, visit: &Visit, out: &Path, waits: &mut Waits<'_>) -> Recorded {
         let session = &visit.session;
         let folder = Folder::create(out, &session.name)?;
         truth::write_visit(self, visit, &folder)?;
         let light = Light::new(&self.params, session.index);
         let take = |shot: usize, _| self.take(session.index, &light, shot, &folder);
-        let summary = session.record(folder.path(), &self.sensors(), &take, tell)?;
+        let summary = session.record(folder.path(), &self.sensors(), &take, waits)?;
         let path = folder.finish()?.join(format!("{}.mcap", session.name));
         Ok(SessionSummary { path, ..summary })
     }

@@ -24,7 +24,7 @@ fn simulated(world: &Street, threads: usize) -> BTreeMap<String, Vec<u8>> {
         .num_threads(threads)
         .build()
         .unwrap();
-    pool.install(|| street(world, folder.path(), &mut |_| {}))
+    pool.install(|| street(world, folder.path(), &mut |_| {}, &|| false))
         .unwrap();
     contents(folder.path())
 }
@@ -43,7 +43,7 @@ fn bytes_do_not_depend_on_threads_but_on_the_seed() {
     ] {
         assert!(one.contains_key(name), "{name}");
     }
-    assert!(one.keys().all(|name| !name.contains("part")));
+    assert!(one.keys().all(|name| !name.contains(".evermap-")));
     let other = simulated(&Street { seed: 2, ..world }, 2);
     for name in [
         "visit_a/visit_a.mcap",
@@ -60,10 +60,15 @@ fn sessions_hold_their_topics_and_say_what_labels_mean() {
     let folder = tempfile::tempdir().unwrap();
     let world = small();
     let mut told = 0;
-    let summary = street(&world, folder.path(), &mut |now| {
-        told += 1;
-        assert!(now.all_images <= now.all_images_total);
-    })
+    let summary = street(
+        &world,
+        folder.path(),
+        &mut |now| {
+            told += 1;
+            assert!(now.all_images <= now.all_images_total);
+        },
+        &|| false,
+    )
     .unwrap();
     assert_eq!(told, 12);
     for session in &summary.sessions {
@@ -285,6 +290,16 @@ fn any_number_of_views_in_any_order() {
 }
 
 #[test]
+fn a_street_that_is_stopped_leaves_no_half_visit() {
+    let folder = tempfile::tempdir().unwrap();
+    let error = street(&small(), folder.path(), &mut |_| {}, &|| true).unwrap_err();
+    assert!(matches!(error, WorldError::Stopped), "{error}");
+    let left = fs::read_dir(folder.path()).unwrap();
+    let left: Vec<_> = left.map(|entry| entry.unwrap().file_name()).collect();
+    assert_eq!(left, ["truth"]);
+}
+
+#[test]
 fn unusable_parameters_are_all_named() {
     let world = Street {
         visits: 0,
@@ -293,7 +308,7 @@ fn unusable_parameters_are_all_named() {
         ..Street::default()
     };
     let folder = tempfile::tempdir().unwrap();
-    let error = street(&world, folder.path(), &mut |_| {}).unwrap_err();
+    let error = street(&world, folder.path(), &mut |_| {}, &|| false).unwrap_err();
     let WorldError::Parameters { faults } = error else {
         panic!("{error}")
     };

@@ -119,7 +119,9 @@ fn in_shell(word: &str) -> String {
 pub fn unwritten(error: RecordingError) -> Fault {
     match error {
         RecordingError::Io { .. } => Fault::resource(error.to_string()),
-        RecordingError::Kept { .. } => Fault::user(error.to_string()),
+        RecordingError::Kept { .. } | RecordingError::Folder { .. } => {
+            Fault::user(error.to_string())
+        }
         RecordingError::Mcap(_) => Fault::bug(error.to_string()),
     }
 }

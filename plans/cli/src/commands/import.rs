@@ -3,6 +3,7 @@
 use std::path::Path;
 
 use evermap_datasets::import::{ImageImport, Imported, Kitti};
+use evermap_engine::sql::Term;
 use evermap_schemas::Fault;
 
 use crate::arguments::ImportArgs;
@@ -16,6 +17,8 @@ use crate::quantity::of;
 /// # Errors
 /// A user fault that says what to do instead, where another program converts better.
 pub async fn import(args: &ImportArgs) -> Ending {
+    let term = Term::of_task();
+    let is_stopped = || term.is_over();
     match args {
         ImportArgs::Images {
             description,
@@ -28,7 +31,7 @@ pub async fn import(args: &ImportArgs) -> Ending {
                 Some(folder) => import.within(folder),
                 None => import,
             };
-            tell(out, &import.write(out)?)
+            tell(out, &import.write(out, &is_stopped)?)
         }
         ImportArgs::Kitti {
             poses,
@@ -46,7 +49,7 @@ pub async fn import(args: &ImportArgs) -> Ending {
                 images,
                 calibration,
             };
-            tell(out, &kitti.write(out)?)
+            tell(out, &kitti.write(out, &is_stopped)?)
         }
         ImportArgs::Rosbag { files } => {
             let what = files.first().map_or("the bag", String::as_str);

@@ -1,8 +1,10 @@
 //! `evermap simulate`.
 
+use evermap_engine::sql::Term;
 use evermap_schemas::{Fault, batch, record};
 use evermap_worlds::{
-    CarPark, Progress as Images, RecordingError, Street, Summary, WorldError, car_park, street,
+    CarPark, Progress as Images, RecordingError, Stopped, Street, Summary, WorldError, car_park,
+    street,
 };
 use serde::de::DeserializeOwned;
 use serde_json::{Map, Value};
@@ -44,13 +46,16 @@ pub async fn simulate(args: &SimulateArgs) -> Ending {
     let mut progress = Progress::new(args.progress);
     let mut total = None;
     // Rendering keeps every core busy for minutes: the runtime must know that this thread is taken.
+    // So it does not pause either, and asks whether it was stopped.
+    let term = Term::of_task();
     let summary = tokio::task::block_in_place(|| {
-        write(&args.out, &mut |now| {
+        let tell = &mut |now: Images| {
             if total.replace(now.all_images_total) != Some(now.all_images_total) {
                 progress.expect(now.all_images_total as u64);
             }
             progress.at(now.all_images as u64, &now.session);
-        })
+        };
+        write(&args.out, tell, &|| term.is_over())
     });
     progress.finish();
     let summary = summary.map_err(fault)?;
@@ -73,16 +78,17 @@ pub async fn simulate(args: &SimulateArgs) -> Ending {
 }
 
 /// Writes a world into a folder.
-type Writer = Box<dyn FnOnce(&Path, &mut dyn FnMut(Images)) -> Result<Summary, WorldError>>;
+type Writer =
+    Box<dyn FnOnce(&Path, &mut dyn FnMut(Images), &Stopped<'_>) -> Result<Summary, WorldError>>;
 
 /// What writes the world of this name with its parameters.
 fn writer(args: &SimulateArgs) -> Result<Writer, Failure> {
     Ok(if args.world == "street" {
         let world: Street = parameters(args)?;
-        Box::new(move |out, progress| street(&world, out, progress))
+        Box::new(move |out, progress, is_stopped| street(&world, out, progress, is_stopped))
     } else {
         let world: CarPark = parameters(args)?;
-        Box::new(move |out, progress| car_park(&world, out, progress))
+        Box::new(move |out, progress, is_stopped| car_park(&world, out, progress, is_stopped))
     })
 }
 
@@ -115,7 +121,9 @@ fn parameters<W: DeserializeOwned>(args: &SimulateArgs) -> Result<W, Failure> {
 
 fn fault(error: WorldError) -> Fault {
     match &error {
-        WorldError::Parameters { .. } | WorldError::File(RecordingError::Kept { .. }) => {
+        WorldError::Parameters { .. }
+        | WorldError::Stopped
+        | WorldError::File(RecordingError::Kept { .. } | RecordingError::Folder { .. }) => {
             Fault::user(error.to_string())
         }
         WorldError::File(RecordingError::Io { .. }) => Fault::resource(error.to_string()),
@@ -190,7 +198,7 @@ mod tests {
             let folder = Path::new("nowhere");
             let refused = match writer(&args(&[setting])) {
                 Err(Failure::Fault(fault)) => fault,
-                Ok(write) => fault(write(folder, &mut |_| {}).unwrap_err()),
+                Ok(write) => fault(write(folder, &mut |_| {}, &|| false).unwrap_err()),
                 Err(_) => panic!("{setting}"),
             };
             assert!(refused.to_string().contains(says), "{refused}");

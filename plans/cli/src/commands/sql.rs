@@ -41,6 +41,7 @@ use crate::progress::line;
 use crate::prompt;
 use crate::reader::MapReader;
 use crate::sessions;
+use crate::standard_input::standard_input;
 use schemas::{add_hidden_topics, schema_of_session};
 
 /// The name that a map is given, where it is, and its address.
@@ -369,8 +370,10 @@ pub async fn sql(args: &SqlArgs, unfinished: &Unfinished) -> Ending {
         Some(query) => all(&tables, statements(&query)?, args).await?,
         None if is_prompt(args) => prompt::run(&tables, format, unfinished).await?,
         None => {
-            let text = std::io::read_to_string(std::io::stdin())
-                .map_err(|error| Fault::resource(format!("cannot read queries: {error}")))?;
+            let text = String::from_utf8(standard_input("queries")?);
+            let text = text.map_err(|error| {
+                Fault::user(format!("cannot read queries: {error}")).next("send them as UTF-8")
+            })?;
             script(&tables, without_mark(&text), args).await?;
         }
     }

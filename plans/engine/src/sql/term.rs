@@ -54,6 +54,16 @@ impl Term {
         TERM.scope(self.clone(), work)
     }
 
+    /// The term of what this task works on; one that has no end, where it has none.
+    pub fn of_task() -> Self {
+        TERM.try_with(Self::clone).unwrap_or_default()
+    }
+
+    /// Whether it is over.
+    pub fn is_over(&self) -> bool {
+        self.told().is_some()
+    }
+
     /// What is told, where it is over.
     fn told(&self) -> Option<Fault> {
         if self.0.has_come.load(Ordering::Relaxed) {
@@ -133,6 +143,16 @@ mod tests {
         term.end();
         assert_eq!(term.of(spawned()).await, [false, false]);
         assert_eq!(spawned().await, [true, true]);
+    }
+
+    #[tokio::test]
+    async fn what_computes_without_a_pause_asks_the_term_of_its_task() {
+        let term = Term::default();
+        let own = term.of(async { Term::of_task() }).await;
+        assert!(!own.is_over());
+        term.end();
+        assert!(own.is_over());
+        assert!(!Term::of_task().is_over());
     }
 
     #[tokio::test]

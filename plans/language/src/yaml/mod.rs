@@ -18,7 +18,7 @@ pub(crate) use tree::{read, read_from};
 use crate::fault::Location;
 
 /// Texts longer than this many bytes are refused.
-pub(crate) const LONGEST_TEXT: usize = 4 << 20;
+pub const LONGEST_TEXT: usize = 4 << 20;
 /// Collections may be nested this deep.
 pub(crate) const DEEPEST: usize = 64;
 /// Nodes a tree may have, aliases counted in full.

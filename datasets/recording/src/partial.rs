@@ -1,0 +1,222 @@
+//! A log that has no name yet, and where it goes when it is complete.
+
+use std::fs::{File, OpenOptions};
+use std::io::{Error, Seek};
+use std::path::{Path, PathBuf};
+
+use tempfile::TempPath;
+
+use crate::{RecordingError, failed};
+
+/// A file of a name that nobody else has. It is gone with what writes it, unless it was finished by then.
+pub struct Partial {
+    file: TempPath,
+    goes: Goes,
+    /// What faults of writing name.
+    place: PathBuf,
+}
+
+/// Where a log goes.
+enum Goes {
+    /// To a file of this name, in place of what is there.
+    Named(PathBuf),
+    /// Into something that is no file, at this path: a pipe, a device. Nothing is written there that is not complete.
+    Into(File, PathBuf),
+}
+
+impl Partial {
+    /// A new file for what goes to `target`, in its folder; for what goes into a pipe or a device, in that of temporary
+    /// files.
+    ///
+    /// # Errors
+    /// [`RecordingError::Io`], and [`RecordingError::Folder`] for a folder.
+    pub fn of(target: &Path) -> Result<(File, Self), RecordingError> {
+        let goes = Goes::to(target)?;
+        let (folder, place) = match goes {
+            Goes::Named(_) => (folder(target).to_owned(), target.to_owned()),
+            Goes::Into(..) => (std::env::temp_dir(), std::env::temp_dir()),
+        };
+        let mut builder = tempfile::Builder::new();
+        builder.prefix(".evermap-");
+        #[cfg(unix)]
+        builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
+        let made = builder.tempfile_in(folder);
+        let made = made.map_err(|error| failed(&place, error.into()))?;
+        let (writing, file) = made.into_parts();
+        Ok((writing, Self { file, goes, place }))
+    }
+
+    /// What faults of writing name.
+    pub fn place(&self) -> &Path {
+        &self.place
+    }
+
+    /// Has the log go where it belongs, when all of it is in `file`.
+    ///
+    /// # Errors
+    /// [`RecordingError::Io`].
+    pub fn finish(self, mut file: File) -> Result<(), RecordingError> {
+        let (path, gone) = match self.goes {
+            Goes::Named(path) => {
+                let named = self.file.persist(&path);
+                (path, named.map_err(|error| error.error))
+            }
+            Goes::Into(into, path) => (path, copy(&mut file, into)),
+        };
+        gone.map_err(|error| failed(&path, error.into()))
+    }
+}
+
+impl Goes {
+    /// By what is at `target`, behind all links.
+    fn to(target: &Path) -> Result<Self, RecordingError> {
+        let path = target.to_owned();
+        match target.metadata() {
+            Ok(found) if found.is_dir() => Err(RecordingError::Folder { path }),
+            Ok(found) if !found.is_file() => {
+                let opened = OpenOptions::new().write(true).open(target);
+                let opened = opened.map_err(|error| failed(target, error.into()))?;
+                Ok(Self::Into(opened, path))
+            }
+            _ => Ok(Self::Named(path)),
+        }
+    }
+}
+
+/// The folder that a file is in.
+pub fn folder(path: &Path) -> &Path {
+    let parent = path.parent();
+    let parent = parent.filter(|parent| !parent.as_os_str().is_empty());
+    parent.unwrap_or(Path::new("."))
+}
+
+/// Copies a file from its beginning on.
+fn copy(file: &mut File, mut into: File) -> Result<(), Error> {
+    file.rewind()?;
+    std::io::copy(file, &mut into)?;
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use std::collections::BTreeSet;
+
+    use crate::{LogWriter, Times};
+
+    use super::*;
+
+    /// A log of so many messages, not yet finished.
+    fn begun(target: &Path, messages: u64) -> LogWriter {
+        let mut log = LogWriter::create(target, "recorder 1.2", "").unwrap();
+        let channel = log
+            .channel("/said", ("said", "", &b""[..]), "json")
+            .unwrap();
+        for stamp_ns in 0..messages {
+            let log_ns = stamp_ns;
+            log.send(channel, Times { log_ns, stamp_ns }, b"{}")
+                .unwrap();
+        }
+        log
+    }
+
+    /// Names in a folder.
+    fn names(folder: &Path) -> BTreeSet<String> {
+        let entries = std::fs::read_dir(folder).unwrap();
+        let name = |entry: std::fs::DirEntry| entry.file_name().to_string_lossy().into_owned();
+        entries.map(|entry| name(entry.unwrap())).collect()
+    }
+
+    #[test]
+    fn two_logs_of_one_name_and_a_file_beside_them_stay_whole() {
+        let folder = tempfile::tempdir().unwrap();
+        let within = |name: &str| folder.path().join(name);
+        std::fs::write(within("drive.mcap.part"), "mine").unwrap();
+        let [first, second] = [3, 400].map(|messages| begun(&within("drive.mcap"), messages));
+        let beside = begun(&within("drive.a"), 5);
+        assert!(!within("drive.mcap").exists());
+        let (_, bytes) = second.finish().unwrap();
+        let read = || std::fs::read(within("drive.mcap")).unwrap();
+        assert_eq!(read().len() as u64, bytes);
+        assert_eq!(mcap::MessageStream::new(&read()).unwrap().count(), 400);
+        assert_eq!(beside.finish().unwrap().0, 5);
+        // The last one to end holds.
+        first.finish().unwrap();
+        assert_eq!(mcap::MessageStream::new(&read()).unwrap().count(), 3);
+        let mine = std::fs::read(within("drive.mcap.part")).unwrap();
+        assert_eq!(mine, b"mine");
+        let there = ["drive.a", "drive.mcap", "drive.mcap.part"];
+        let there = BTreeSet::from(there.map(str::to_owned));
+        assert_eq!(names(folder.path()), there);
+    }
+
+    #[test]
+    fn a_log_that_is_given_up_leaves_what_was_there() {
+        let folder = tempfile::tempdir().unwrap();
+        let target = folder.path().join("drive.mcap");
+        begun(&target, 3).finish().unwrap();
+        let before = std::fs::read(&target).unwrap();
+        drop(begun(&target, 400));
+        assert_eq!(std::fs::read(&target).unwrap(), before);
+        assert_eq!(names(folder.path()).len(), 1);
+    }
+
+    #[test]
+    fn a_folder_is_refused_before_anything_is_written() {
+        let folder = tempfile::tempdir().unwrap();
+        let refused = LogWriter::create(folder.path(), "recorder 1.2", "").err();
+        let told = refused.unwrap().to_string();
+        let expected = "expected a file, found a folder; name a file in it";
+        assert!(told.contains(expected), "{told}");
+        assert!(names(folder.path()).is_empty());
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn a_pipe_gets_a_whole_log_or_nothing_and_stays_a_pipe() {
+        use std::os::unix::fs::FileTypeExt;
+
+        let folder = tempfile::tempdir().unwrap();
+        let [pipe, file] = ["pipe", "file"].map(|name| folder.path().join(name));
+        let made = std::process::Command::new("mkfifo").arg(&pipe).status();
+        assert!(made.unwrap().success());
+        begun(&file, 4000).finish().unwrap();
+        let expected = std::fs::read(&file).unwrap();
+        for is_given_up in [false, true] {
+            let reader = std::thread::spawn({
+                let pipe = pipe.clone();
+                move || std::fs::read(pipe).unwrap()
+            });
+            let log = begun(&pipe, 4000);
+            if is_given_up {
+                drop(log);
+                assert!(reader.join().unwrap().is_empty());
+            } else {
+                let (messages, bytes) = log.finish().unwrap();
+                assert_eq!((messages, bytes), (4000, expected.len() as u64));
+                assert!(reader.join().unwrap() == expected);
+            }
+        }
+        assert!(pipe.metadata().unwrap().file_type().is_fifo());
+        // Of a link to one, too, and of a device.
+        let link = folder.path().join("link");
+        std::os::unix::fs::symlink("/dev/null", &link).unwrap();
+        begun(&link, 3).finish().unwrap();
+        let null = Path::new("/dev/null").metadata().unwrap();
+        assert!(null.file_type().is_char_device());
+        assert_eq!(names(folder.path()).len(), 3);
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn a_log_has_the_rights_of_other_files() {
+        use std::os::unix::fs::PermissionsExt;
+
+        let folder = tempfile::tempdir().unwrap();
+        let rights = |path: &Path| path.metadata().unwrap().permissions().mode();
+        let [log, other] = ["log", "other"].map(|name| folder.path().join(name));
+        begun(&log, 3).finish().unwrap();
+        std::fs::write(&other, "mine").unwrap();
+        assert_eq!(rights(&log), rights(&other));
+    }
+}
