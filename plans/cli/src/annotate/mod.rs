@@ -16,6 +16,7 @@ pub mod mosaic;
 pub mod people;
 pub mod person_images;
 pub mod pixels;
+mod reading;
 pub mod saying;
 pub mod state;
 
@@ -69,6 +70,29 @@ impl Losses {
             line(&format!("… and {} more", self.lines.len() - MOST_LINES));
         }
     }
+}
+
+/// A file of another program as text.
+///
+/// # Errors
+/// A user fault for what is no file, or no text of UTF-8.
+fn read_text(path: &Path) -> Result<String, Fault> {
+    let text = evermap_datasets::read_text(path)
+        .map_err(|error| Fault::user(format!("expected a file, found {error}")))?;
+    match text.find('\0') {
+        None => Ok(text),
+        // All letters of a file in UTF-16 may be letters of UTF-8, too, with this one between them.
+        Some(at) => {
+            let (number, next) = (at + 1, "save it as UTF-8: it may be UTF-16");
+            let fault = format!("expected text in UTF-8, found 0 as byte {number} of the file");
+            Err(Fault::user(fault).next(next))
+        }
+    }
+}
+
+/// That a text is no JSON.
+fn no_json(error: &serde_json::Error) -> Fault {
+    Fault::user(format!("expected JSON, found {error}"))
 }
 
 /// Whether a text says nothing: runs throw acts away whose author or kind is empty.

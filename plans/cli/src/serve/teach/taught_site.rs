@@ -190,8 +190,13 @@ impl TaughtSite {
     /// Writes acts to their author's log; the name of its session.
     pub(super) fn write(&mut self, author: &str, acts: &[Annotation]) -> Result<String, Fault> {
         let mut log = match self.logs.remove(author) {
-            Some((log, _)) => log,
-            None => self.begin(author)?,
+            Some((log, _)) if log.is_there() => log,
+            begun => {
+                if let Some((log, _)) = begun {
+                    gone(author, &log);
+                }
+                self.begin(author)?
+            }
         };
         // A log that cannot be written ends here: what follows is its next part.
         log.say_all(acts).map_err(unwritten)?;
@@ -215,6 +220,10 @@ impl TaughtSite {
                 self.logs.insert(author, (log, last));
                 continue;
             }
+            if !log.is_there() {
+                gone(author.as_str(), &log);
+                continue;
+            }
             let site = &self.state.site;
             match log.finish() {
                 Ok(path) => line(&format!(
@@ -232,6 +241,14 @@ impl Drop for TaughtSite {
     fn drop(&mut self) {
         self.end(Duration::ZERO);
     }
+}
+
+/// Tells of a log that somebody took away while it was written.
+fn gone(author: &str, log: &AnnotationLog) {
+    let path = log.path().display();
+    line(&format!(
+        "{path} is no longer there: what {author} said in it is lost, unless it was moved"
+    ));
 }
 
 /// The answers about people that a version has learnt from, by name: all that it has, where it learns from answers.
