@@ -469,10 +469,12 @@ def main(what, host):
     assert status == 200 and searched["hypotheses"] == [] and searched["revision"] >= said["revision"], searched
 
     before = ask(f"{here}/lot")[1]
-    for author in ["../ada", "a/b", "", "  ", "..", "x" * 65, "a\u0000b", ".hidden"]:
+    for author in ["../ada", "a/b", "", "  ", "..", "x" * 65, "\U00020000" * 64, "a\u0000b", ".hidden"]:
         assert ask(f"{here}/lot", {"author": author, "features": feature("spot", [[20, 1], [22, 1], [22, 3]])})[0] == 400, author
     for site in ["..", "nowhere", "%2e%2e%2flot", "lot%2f.."]:
         assert ask(f"{here}/{site}", {"author": "ada", "features": feature("spot", BOX)})[0] in (400, 404), site
+    status, said = ask(f"{here}/nowhere")
+    assert status == 400 and said["error"] == 'no site "nowhere" in this map' and said["next"].startswith("its sites: "), said
     crossed = feature("spot", [[0, 0], [4, 4], [4, 0], [0, 4]])
     endless = feature("spot", [[0, 0], [4, 0], [4, 1e300]])
     for said in [crossed, endless, {"type": "Feature"}, 7, [], {"type": "FeatureCollection", "features": 3}]:
@@ -482,7 +484,8 @@ def main(what, host):
         assert ask(f"{here}/lot", body, kind)[0] in (400, 415), (body, kind)
     huge = json.dumps({"author": "ada", "features": feature("spot", [[k, k % 7] for k in range(400_000)])}).encode()
     try:
-        assert ask(f"{here}/lot", huge)[0] in (400, 413)
+        status, said = ask(f"{here}/lot", huge)
+        assert status == 413 and "a request of at most 2 MiB" in said["error"], said
     except URLError as ended:
         # The server need not read to the end what is too long.
         assert isinstance(ended.reason, (BrokenPipeError, ConnectionResetError)), ended
