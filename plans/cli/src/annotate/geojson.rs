@@ -54,13 +54,7 @@ fn listed(file: GeoJson) -> Result<Vec<Feature>, Fault> {
         }
         Some("FeatureCollection") => Ok(file.features.first),
         Some("Feature") => Ok(vec![file.feature]),
-        _ => {
-            let geometry = file.geometry;
-            Ok(vec![Feature {
-                geometry,
-                ..Feature::default()
-            }])
-        }
+        _ => Ok(vec![Feature::bare(file.geometry)]),
     }
 }
 

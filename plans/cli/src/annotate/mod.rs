@@ -150,7 +150,30 @@ pub fn unwritten(error: RecordingError) -> Fault {
 
 #[cfg(test)]
 mod tests {
+    #![allow(clippy::unwrap_used)]
     use super::*;
+
+    /// Its letters are letters of UTF-8, too: where it has no mark at its beginning, nothing else tells.
+    #[test]
+    fn a_file_in_utf_16_is_told_as_such() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.json");
+        let text = r#"{"type": "FeatureCollection"}"#;
+        let units = || text.encode_utf16();
+        let little: Vec<u8> = units().flat_map(u16::to_le_bytes).collect();
+        let big: Vec<u8> = units().flat_map(u16::to_be_bytes).collect();
+        for (bytes, at) in [(little, 2), (big, 1)] {
+            std::fs::write(&path, bytes).unwrap();
+            let told = read_text(&path).unwrap_err().to_string();
+            let expected = format!("expected text in UTF-8, found 0 as byte {at} of the file");
+            assert!(
+                told.contains(&expected) && told.contains("UTF-16"),
+                "{told}"
+            );
+        }
+        std::fs::write(&path, text).unwrap();
+        assert_eq!(read_text(&path).unwrap(), text);
+    }
 
     #[test]
     fn a_command_to_copy_is_one_for_a_shell() {

@@ -173,7 +173,7 @@ fn points(positions: Option<List>) -> Result<Vec<Point>, &'static str> {
 
 #[cfg(test)]
 mod tests {
-    #![allow(clippy::unwrap_used)]
+    #![allow(clippy::unwrap_used, clippy::panic)]
     use serde_json::{Value, json};
 
     use super::*;

@@ -104,7 +104,7 @@ impl Reading for Features {
 pub(super) struct Feature {
     id: Word,
     properties: Properties,
-    pub(super) geometry: DrawnGeometry,
+    geometry: DrawnGeometry,
 }
 
 impl Reading for Feature {
@@ -124,6 +124,14 @@ impl Reading for Feature {
 }
 
 impl Feature {
+    /// One that says nothing else.
+    pub(super) fn bare(geometry: DrawnGeometry) -> Self {
+        Self {
+            geometry,
+            ..Self::default()
+        }
+    }
+
     /// Which one of a file it is, for people.
     pub(super) fn place(&self, number: usize) -> String {
         match self.label() {
