@@ -8,7 +8,7 @@ use evermap_catalog::painted::ImageKey;
 use evermap_schemas::Fault;
 use evermap_schemas::roles::FARTHEST_M;
 
-use super::geojson::{self, GeoJson};
+use super::geojson::{self, GeoJsonFile};
 use super::mosaic::Picture;
 use super::pixels::Program;
 use super::{Losses, no_json, read_text};
@@ -73,7 +73,7 @@ pub fn read(
         })?;
         return program.read(path, &text, picture, losses).map_err(at);
     }
-    let file: GeoJson = serde_json::from_str(&text).map_err(|error| at(no_json(&error)))?;
+    let file: GeoJsonFile = serde_json::from_str(&text).map_err(|error| at(no_json(&error)))?;
     drop(text);
     if file.is_on_earth() {
         let fault =

@@ -9,15 +9,15 @@ use serde_json::Value;
 
 use super::features::DrawnFeature;
 use super::{Losses, is_blank};
-use crate::annotate::geojson::members::{Feature, MOST_FEATURES};
+use crate::annotate::geojson::members::{MOST_FEATURES, WrittenFeature};
 
-pub use crate::annotate::geojson::members::GeoJson;
+pub use crate::annotate::geojson::members::GeoJsonFile;
 
 /// The features of a collection, of one feature, or of a bare geometry.
 ///
 /// # Errors
 /// A user fault for a collection without a list of features, or with too many.
-pub fn features(file: GeoJson, losses: &mut Losses) -> Result<Vec<DrawnFeature>, Fault> {
+pub fn features(file: GeoJsonFile, losses: &mut Losses) -> Result<Vec<DrawnFeature>, Fault> {
     if let Some(name) = file.crs.name() {
         // Programs that know of no local metres write one.
         losses.remark(&format!(
@@ -40,7 +40,7 @@ pub fn features(file: GeoJson, losses: &mut Losses) -> Result<Vec<DrawnFeature>,
 ///
 /// # Errors
 /// As [`features`].
-fn listed(file: GeoJson) -> Result<Vec<Feature>, Fault> {
+fn listed(file: GeoJsonFile) -> Result<Vec<WrittenFeature>, Fault> {
     match file.geometry.kind.0.as_deref() {
         Some("FeatureCollection") if !file.features.is_list => {
             let fault =
@@ -54,7 +54,7 @@ fn listed(file: GeoJson) -> Result<Vec<Feature>, Fault> {
         }
         Some("FeatureCollection") => Ok(file.features.first),
         Some("Feature") => Ok(vec![file.feature]),
-        _ => Ok(vec![Feature::bare(file.geometry)]),
+        _ => Ok(vec![WrittenFeature::bare(file.geometry)]),
     }
 }
 
@@ -169,7 +169,7 @@ mod tests {
         let read = |count: usize| {
             let listed = vec!["0"; count].join(",");
             let text = format!(r#"{{"features": [{listed}], "type": "FeatureCollection"}}"#);
-            let file: GeoJson = serde_json::from_str(&text).unwrap();
+            let file: GeoJsonFile = serde_json::from_str(&text).unwrap();
             assert!(file.features.first.len() <= MOST_FEATURES);
             super::features(file, &mut Losses::default())
         };
@@ -183,7 +183,7 @@ mod tests {
     #[test]
     fn json_is_a_file_of_no_a_few_or_odd_features_and_never_more_than_it_says() {
         let told = |text: &str| {
-            let file: GeoJson = serde_json::from_str(text).unwrap();
+            let file: GeoJsonFile = serde_json::from_str(text).unwrap();
             let mut losses = Losses::default();
             let found = super::features(file, &mut losses).unwrap();
             let drawn = found.iter().filter(|feature| feature.geometry.is_some());

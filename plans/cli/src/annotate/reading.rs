@@ -7,9 +7,9 @@ use serde::de::{Deserialize, Deserializer, IgnoredAny, MapAccess, SeqAccess, Vis
 use serde_json::Number;
 
 /// What is read of a value that may be anything: it begins as of `null`, and takes what it knows.
-pub(super) trait Reading: Default {
+pub(super) trait Lenient: Default {
     /// What is no list and no object.
-    fn scalar(&mut self, _: Scalar<'_>) {}
+    fn scalar(&mut self, _: JsonScalar<'_>) {}
 
     /// That a list begins.
     fn list(&mut self) {}
@@ -35,7 +35,7 @@ pub(super) trait Reading: Default {
 }
 
 /// A text, a number, true or false.
-pub(super) enum Scalar<'a> {
+pub(super) enum JsonScalar<'a> {
     Truth,
     Number(Number),
     Text(&'a str),
@@ -61,29 +61,29 @@ pub(super) fn skipped<'de, A: MapAccess<'de>>(object: &mut A) -> Result<(), A::E
 ///
 /// # Errors
 /// For what is no JSON.
-pub(super) fn value<'de, R: Reading, A: MapAccess<'de>>(object: &mut A) -> Result<R, A::Error> {
-    object.next_value::<Read<R>>().map(|read| read.0)
+pub(super) fn value<'de, R: Lenient, A: MapAccess<'de>>(object: &mut A) -> Result<R, A::Error> {
+    object.next_value::<AnyJson<R>>().map(|read| read.0)
 }
 
 /// What was read of a value.
-pub(super) struct Read<R>(pub(super) R);
+pub(super) struct AnyJson<R>(pub(super) R);
 
-impl<'de, R: Reading> Deserialize<'de> for Read<R> {
+impl<'de, R: Lenient> Deserialize<'de> for AnyJson<R> {
     fn deserialize<D: Deserializer<'de>>(from: D) -> Result<Self, D::Error> {
-        from.deserialize_any(Taking(R::default())).map(Self)
+        from.deserialize_any(LenientVisitor(R::default())).map(Self)
     }
 }
 
-struct Taking<R>(R);
+struct LenientVisitor<R>(R);
 
-impl<R: Reading> Taking<R> {
-    fn scalar(mut self, scalar: Scalar<'_>) -> R {
+impl<R: Lenient> LenientVisitor<R> {
+    fn scalar(mut self, scalar: JsonScalar<'_>) -> R {
         self.0.scalar(scalar);
         self.0
     }
 }
 
-impl<'de, R: Reading> Visitor<'de> for Taking<R> {
+impl<'de, R: Lenient> Visitor<'de> for LenientVisitor<R> {
     type Value = R;
 
     fn expecting(&self, to: &mut Formatter<'_>) -> std::fmt::Result {
@@ -95,26 +95,26 @@ impl<'de, R: Reading> Visitor<'de> for Taking<R> {
     }
 
     fn visit_bool<E>(self, _: bool) -> Result<R, E> {
-        Ok(self.scalar(Scalar::Truth))
+        Ok(self.scalar(JsonScalar::Truth))
     }
 
     fn visit_i64<E>(self, value: i64) -> Result<R, E> {
-        Ok(self.scalar(Scalar::Number(value.into())))
+        Ok(self.scalar(JsonScalar::Number(value.into())))
     }
 
     fn visit_u64<E>(self, value: u64) -> Result<R, E> {
-        Ok(self.scalar(Scalar::Number(value.into())))
+        Ok(self.scalar(JsonScalar::Number(value.into())))
     }
 
     fn visit_f64<E>(self, value: f64) -> Result<R, E> {
         Ok(match Number::from_f64(value) {
-            Some(number) => self.scalar(Scalar::Number(number)),
+            Some(number) => self.scalar(JsonScalar::Number(number)),
             None => self.0,
         })
     }
 
     fn visit_str<E>(self, text: &str) -> Result<R, E> {
-        Ok(self.scalar(Scalar::Text(text)))
+        Ok(self.scalar(JsonScalar::Text(text)))
     }
 
     fn visit_seq<A: SeqAccess<'de>>(mut self, mut list: A) -> Result<R, A::Error> {

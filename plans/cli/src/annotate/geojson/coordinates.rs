@@ -4,7 +4,7 @@ use evermap_algorithms::labels::shapes::MOST_POINTS;
 use serde::de::SeqAccess;
 
 use crate::annotate::features::{Geometry, Point, TOO_MANY_POINTS};
-use crate::annotate::reading::{Read, Reading, Scalar};
+use crate::annotate::reading::{AnyJson, JsonScalar, Lenient};
 use crate::export::ON_EARTH;
 
 /// Why a list is no line.
@@ -12,19 +12,19 @@ const NO_POSITION: &str = "feature with a position that is not a list of numbers
 
 /// What a geometry has as its coordinates, or what stands within them.
 #[derive(Debug, Default)]
-pub(super) enum Coordinates {
+pub(super) enum WrittenCoordinates {
     /// Nothing, or what no coordinate is.
     #[default]
     Other,
     Number(f64),
-    List(List),
+    List(CoordinateList),
     /// What evermap writes of those on earth, in their place.
     OnEarth,
 }
 
 /// A list as what it may be.
 #[derive(Debug, Default)]
-pub(super) struct List {
+pub(super) struct CoordinateList {
     count: usize,
     /// The first elements, as those of a position.
     numbers: [f64; 3],
@@ -34,24 +34,24 @@ pub(super) struct List {
     /// Why they are none.
     fault: Option<&'static str>,
     /// The first element, where it is a list: of several, none is taken.
-    first: Option<Box<List>>,
+    first: Option<Box<CoordinateList>>,
 }
 
-impl Reading for Coordinates {
-    fn scalar(&mut self, scalar: Scalar<'_>) {
+impl Lenient for WrittenCoordinates {
+    fn scalar(&mut self, scalar: JsonScalar<'_>) {
         *self = match scalar {
-            Scalar::Number(number) => number.as_f64().map_or(Self::Other, Self::Number),
-            Scalar::Text(text) if text == ON_EARTH => Self::OnEarth,
-            Scalar::Text(_) | Scalar::Truth => Self::Other,
+            JsonScalar::Number(number) => number.as_f64().map_or(Self::Other, Self::Number),
+            JsonScalar::Text(text) if text == ON_EARTH => Self::OnEarth,
+            JsonScalar::Text(_) | JsonScalar::Truth => Self::Other,
         };
     }
 
     fn list(&mut self) {
-        *self = Self::List(List::default());
+        *self = Self::List(CoordinateList::default());
     }
 
     fn element<'de, A: SeqAccess<'de>>(&mut self, list: &mut A) -> Result<Option<()>, A::Error> {
-        let Some(Read(element)) = list.next_element::<Read<Self>>()? else {
+        let Some(AnyJson(element)) = list.next_element::<AnyJson<Self>>()? else {
             return Ok(None);
         };
         if let Self::List(own) = self {
@@ -61,16 +61,16 @@ impl Reading for Coordinates {
     }
 }
 
-impl List {
-    fn take(&mut self, element: Coordinates) {
+impl CoordinateList {
+    fn take(&mut self, element: WrittenCoordinates) {
         match element {
-            Coordinates::Number(value) => {
+            WrittenCoordinates::Number(value) => {
                 if let Some(slot) = self.numbers.get_mut(self.count) {
                     *slot = value;
                 }
                 self.end(NO_POSITION);
             }
-            Coordinates::List(list) => {
+            WrittenCoordinates::List(list) => {
                 self.has_others = true;
                 match list.position() {
                     Some(point) => self.add(point),
@@ -80,7 +80,7 @@ impl List {
                     self.first = Some(Box::new(list));
                 }
             }
-            Coordinates::Other | Coordinates::OnEarth => {
+            WrittenCoordinates::Other | WrittenCoordinates::OnEarth => {
                 self.has_others = true;
                 self.end(NO_POSITION);
             }
@@ -120,8 +120,8 @@ impl List {
     }
 }
 
-impl Coordinates {
-    fn into_list(self) -> Option<List> {
+impl WrittenCoordinates {
+    fn into_list(self) -> Option<CoordinateList> {
         match self {
             Self::List(list) => Some(list),
             _ => None,
@@ -145,14 +145,14 @@ impl Coordinates {
 }
 
 /// The only element of a list; `None` where it is no list.
-fn only(parts: Option<List>) -> Result<Option<List>, &'static str> {
+fn only(parts: Option<CoordinateList>) -> Result<Option<CoordinateList>, &'static str> {
     match parts {
         Some(parts) if parts.count == 1 => Ok(parts.first.map(|first| *first)),
         _ => Err("geometry of several parts"),
     }
 }
 
-fn ring(rings: Option<List>) -> Result<Geometry, &'static str> {
+fn ring(rings: Option<CoordinateList>) -> Result<Geometry, &'static str> {
     match rings {
         Some(rings) if rings.count == 1 => {
             let outer = rings.first.map(|first| *first);
@@ -163,7 +163,7 @@ fn ring(rings: Option<List>) -> Result<Geometry, &'static str> {
     }
 }
 
-fn points(positions: Option<List>) -> Result<Vec<Point>, &'static str> {
+fn points(positions: Option<CoordinateList>) -> Result<Vec<Point>, &'static str> {
     let positions = positions.ok_or(NO_POSITION)?;
     match positions.fault {
         Some(fault) => Err(fault),
@@ -179,7 +179,7 @@ mod tests {
     use super::*;
 
     fn outline(kind: &str, coordinates: Value) -> Result<Geometry, &'static str> {
-        let read: Read<Coordinates> = serde_json::from_value(coordinates).unwrap();
+        let read: AnyJson<WrittenCoordinates> = serde_json::from_value(coordinates).unwrap();
         read.0.outline(Some(kind))
     }
 
@@ -253,7 +253,7 @@ mod tests {
             assert_eq!(points.len(), count);
         }
         let many = line(MOST_POINTS + 1, 1);
-        let read: Read<Coordinates> = serde_json::from_value(many.clone()).unwrap();
+        let read: AnyJson<WrittenCoordinates> = serde_json::from_value(many.clone()).unwrap();
         let list = read.0.into_list().unwrap();
         assert_eq!(list.count, MOST_POINTS + 1);
         assert_eq!(list.points.capacity(), 0);

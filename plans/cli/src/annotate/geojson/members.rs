@@ -4,28 +4,28 @@ use evermap_catalog::painted::ImageKey;
 use evermap_schemas::Stamp;
 use serde::de::{Deserialize, Deserializer, MapAccess, SeqAccess};
 
-use super::coordinates::Coordinates;
+use super::coordinates::WrittenCoordinates;
 use crate::annotate::features::{DrawnFeature, Geometry};
 use crate::annotate::is_blank;
-use crate::annotate::reading::{Read, Reading, Scalar, passed, skipped, value};
+use crate::annotate::reading::{AnyJson, JsonScalar, Lenient, passed, skipped, value};
 
 /// A file has no more features than this.
 pub(super) const MOST_FEATURES: usize = 500_000;
 
 /// A file: a collection, a feature or a geometry.
 #[derive(Debug, Default)]
-pub struct GeoJson {
+pub struct GeoJsonFile {
     has_type: bool,
     /// What it is, and as a bare geometry.
-    pub(super) geometry: DrawnGeometry,
+    pub(super) geometry: WrittenGeometry,
     /// As a collection.
-    pub(super) features: Features,
+    pub(super) features: WrittenFeatures,
     /// As a feature.
-    pub(super) feature: Feature,
-    pub(super) crs: Crs,
+    pub(super) feature: WrittenFeature,
+    pub(super) crs: ReferenceSystem,
 }
 
-impl GeoJson {
+impl GeoJsonFile {
     /// Whether it says what it is: other JSON does not.
     pub fn is_typed(&self) -> bool {
         self.has_type
@@ -33,18 +33,18 @@ impl GeoJson {
 
     /// Whether it says of its coordinates, as evermap does, that they are on earth.
     pub fn is_on_earth(&self) -> bool {
-        matches!(self.geometry.coordinates, Coordinates::OnEarth)
+        matches!(self.geometry.coordinates, WrittenCoordinates::OnEarth)
     }
 }
 
-impl<'de> Deserialize<'de> for GeoJson {
+impl<'de> Deserialize<'de> for GeoJsonFile {
     fn deserialize<D: Deserializer<'de>>(from: D) -> Result<Self, D::Error> {
-        Read::deserialize(from).map(|Read(read)| read)
+        AnyJson::deserialize(from).map(|AnyJson(read)| read)
     }
 }
 
-impl Reading for GeoJson {
-    fn scalar(&mut self, scalar: Scalar<'_>) {
+impl Lenient for GeoJsonFile {
+    fn scalar(&mut self, scalar: JsonScalar<'_>) {
         self.geometry.scalar(scalar);
     }
 
@@ -74,14 +74,14 @@ impl Reading for GeoJson {
 
 /// The features of a collection.
 #[derive(Debug, Default)]
-pub(super) struct Features {
+pub(super) struct WrittenFeatures {
     pub(super) is_list: bool,
     /// The first of them, so many as there may be.
-    pub(super) first: Vec<Feature>,
+    pub(super) first: Vec<WrittenFeature>,
     pub(super) count: usize,
 }
 
-impl Reading for Features {
+impl Lenient for WrittenFeatures {
     fn list(&mut self) {
         self.is_list = true;
     }
@@ -89,8 +89,8 @@ impl Reading for Features {
     fn element<'de, A: SeqAccess<'de>>(&mut self, list: &mut A) -> Result<Option<()>, A::Error> {
         let found = match self.count < MOST_FEATURES {
             true => {
-                let found = list.next_element::<Read<Feature>>()?;
-                found.map(|Read(feature)| self.first.push(feature))
+                let found = list.next_element::<AnyJson<WrittenFeature>>()?;
+                found.map(|AnyJson(feature)| self.first.push(feature))
             }
             false => passed(list)?,
         };
@@ -101,13 +101,13 @@ impl Reading for Features {
 
 /// A feature as it stands in a file.
 #[derive(Debug, Default)]
-pub(super) struct Feature {
-    id: Word,
-    properties: Properties,
-    geometry: DrawnGeometry,
+pub(super) struct WrittenFeature {
+    id: WordMember,
+    properties: WrittenProperties,
+    geometry: WrittenGeometry,
 }
 
-impl Reading for Feature {
+impl Lenient for WrittenFeature {
     fn member<'de, A: MapAccess<'de>>(
         &mut self,
         name: &str,
@@ -123,9 +123,9 @@ impl Reading for Feature {
     }
 }
 
-impl Feature {
+impl WrittenFeature {
     /// One that says nothing else.
-    pub(super) fn bare(geometry: DrawnGeometry) -> Self {
+    pub(super) fn bare(geometry: WrittenGeometry) -> Self {
         Self {
             geometry,
             ..Self::default()
@@ -135,14 +135,14 @@ impl Feature {
     /// Which one of a file it is, for people.
     pub(super) fn place(&self, number: usize) -> String {
         match self.label() {
-            Word::Said(label) => format!("feature {number}, label {label}"),
+            WordMember::Said(label) => format!("feature {number}, label {label}"),
             _ => format!("feature {number}"),
         }
     }
 
     /// The label that it is: its property `label`, and only where it has no such property its `id`, which other programs
     /// make of the numbers of rows.
-    fn label(&self) -> &Word {
+    fn label(&self) -> &WordMember {
         self.properties.label.as_ref().unwrap_or(&self.id)
     }
 
@@ -167,15 +167,15 @@ impl Feature {
 }
 
 #[derive(Debug, Default)]
-struct Properties {
-    label: Option<Word>,
-    kind: Word,
-    standing: Word,
-    brush_px: Amount,
-    image: SaidImage,
+struct WrittenProperties {
+    label: Option<WordMember>,
+    kind: WordMember,
+    standing: WordMember,
+    brush_px: NumberMember,
+    image: WrittenImage,
 }
 
-impl Reading for Properties {
+impl Lenient for WrittenProperties {
     fn member<'de, A: MapAccess<'de>>(
         &mut self,
         name: &str,
@@ -195,7 +195,7 @@ impl Reading for Properties {
 
 /// A text, or a number as text.
 #[derive(Debug, Default)]
-enum Word {
+enum WordMember {
     /// None, or a blank one.
     #[default]
     Nothing,
@@ -204,13 +204,13 @@ enum Word {
     NoWord,
 }
 
-impl Reading for Word {
-    fn scalar(&mut self, scalar: Scalar<'_>) {
+impl Lenient for WordMember {
+    fn scalar(&mut self, scalar: JsonScalar<'_>) {
         *self = match scalar {
-            Scalar::Text(text) if is_blank(text) => Self::Nothing,
-            Scalar::Text(text) => Self::Said(text.to_owned()),
-            Scalar::Number(number) => Self::Said(number.to_string()),
-            Scalar::Truth => Self::NoWord,
+            JsonScalar::Text(text) if is_blank(text) => Self::Nothing,
+            JsonScalar::Text(text) => Self::Said(text.to_owned()),
+            JsonScalar::Number(number) => Self::Said(number.to_string()),
+            JsonScalar::Truth => Self::NoWord,
         };
     }
 
@@ -223,7 +223,7 @@ impl Reading for Word {
     }
 }
 
-impl Word {
+impl WordMember {
     /// A text, where there is one.
     ///
     /// # Errors
@@ -239,11 +239,11 @@ impl Word {
 
 /// A number.
 #[derive(Debug, Default)]
-struct Amount(Option<f64>);
+struct NumberMember(Option<f64>);
 
-impl Reading for Amount {
-    fn scalar(&mut self, scalar: Scalar<'_>) {
-        if let Scalar::Number(number) = scalar {
+impl Lenient for NumberMember {
+    fn scalar(&mut self, scalar: JsonScalar<'_>) {
+        if let JsonScalar::Number(number) = scalar {
             self.0 = number.as_f64();
         }
     }
@@ -251,29 +251,29 @@ impl Reading for Amount {
 
 /// Whole nanoseconds, which may be a text: JavaScript rounds such numbers.
 #[derive(Debug, Default)]
-struct Instant(Option<i64>);
+struct InstantMember(Option<i64>);
 
-impl Reading for Instant {
-    fn scalar(&mut self, scalar: Scalar<'_>) {
+impl Lenient for InstantMember {
+    fn scalar(&mut self, scalar: JsonScalar<'_>) {
         self.0 = match scalar {
-            Scalar::Number(number) => number.as_i64(),
-            Scalar::Text(text) => text.parse().ok(),
-            Scalar::Truth => None,
+            JsonScalar::Number(number) => number.as_i64(),
+            JsonScalar::Text(text) => text.parse().ok(),
+            JsonScalar::Truth => None,
         };
     }
 }
 
 /// The image that shows a feature.
 #[derive(Debug, Default)]
-struct SaidImage {
+struct WrittenImage {
     is_there: bool,
-    session: Word,
-    stamp: Instant,
-    camera: Word,
+    session: WordMember,
+    stamp: InstantMember,
+    camera: WordMember,
 }
 
-impl Reading for SaidImage {
-    fn scalar(&mut self, _: Scalar<'_>) {
+impl Lenient for WrittenImage {
+    fn scalar(&mut self, _: JsonScalar<'_>) {
         self.is_there = true;
     }
 
@@ -300,7 +300,7 @@ impl Reading for SaidImage {
     }
 }
 
-impl SaidImage {
+impl WrittenImage {
     /// Its name; `None` where a feature has none.
     ///
     /// # Errors
@@ -308,7 +308,7 @@ impl SaidImage {
     fn key(self) -> Result<Option<ImageKey>, &'static str> {
         match (self.session, self.stamp.0, self.camera) {
             _ if !self.is_there => Ok(None),
-            (Word::Said(session), Some(stamp), Word::Said(camera)) => {
+            (WordMember::Said(session), Some(stamp), WordMember::Said(camera)) => {
                 Ok(Some((session, Stamp(stamp), camera)))
             }
             _ => Err("feature of an image without session, stamp (ns) and camera"),
@@ -318,14 +318,14 @@ impl SaidImage {
 
 /// A geometry as it stands in a file.
 #[derive(Debug, Default)]
-pub(super) struct DrawnGeometry {
+pub(super) struct WrittenGeometry {
     is_there: bool,
-    pub(super) kind: Name,
-    coordinates: Coordinates,
+    pub(super) kind: TextMember,
+    coordinates: WrittenCoordinates,
 }
 
-impl Reading for DrawnGeometry {
-    fn scalar(&mut self, _: Scalar<'_>) {
+impl Lenient for WrittenGeometry {
+    fn scalar(&mut self, _: JsonScalar<'_>) {
         self.is_there = true;
     }
 
@@ -351,7 +351,7 @@ impl Reading for DrawnGeometry {
     }
 }
 
-impl DrawnGeometry {
+impl WrittenGeometry {
     /// The outline; `None` for a feature that has none.
     ///
     /// # Errors
@@ -366,11 +366,11 @@ impl DrawnGeometry {
 
 /// A text, if it is one.
 #[derive(Debug, Default)]
-pub(super) struct Name(pub(super) Option<String>);
+pub(super) struct TextMember(pub(super) Option<String>);
 
-impl Reading for Name {
-    fn scalar(&mut self, scalar: Scalar<'_>) {
-        if let Scalar::Text(text) = scalar {
+impl Lenient for TextMember {
+    fn scalar(&mut self, scalar: JsonScalar<'_>) {
+        if let JsonScalar::Text(text) = scalar {
             self.0 = Some(text.to_owned());
         }
     }
@@ -378,11 +378,11 @@ impl Reading for Name {
 
 /// The reference system that programs write which know of no local metres.
 #[derive(Debug, Default)]
-pub(super) struct Crs {
-    properties: CrsProperties,
+pub(super) struct ReferenceSystem {
+    properties: ReferenceProperties,
 }
 
-impl Reading for Crs {
+impl Lenient for ReferenceSystem {
     fn member<'de, A: MapAccess<'de>>(
         &mut self,
         name: &str,
@@ -396,18 +396,18 @@ impl Reading for Crs {
     }
 }
 
-impl Crs {
+impl ReferenceSystem {
     pub(super) fn name(&self) -> Option<&str> {
         self.properties.name.0.as_deref()
     }
 }
 
 #[derive(Debug, Default)]
-struct CrsProperties {
-    name: Name,
+struct ReferenceProperties {
+    name: TextMember,
 }
 
-impl Reading for CrsProperties {
+impl Lenient for ReferenceProperties {
     fn member<'de, A: MapAccess<'de>>(
         &mut self,
         name: &str,

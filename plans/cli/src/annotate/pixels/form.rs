@@ -2,11 +2,11 @@
 
 use serde::de::MapAccess;
 
-use crate::annotate::reading::{Reading, skipped};
+use crate::annotate::reading::{Lenient, skipped};
 
 /// What JSON is.
 #[derive(Debug, Default)]
-pub(super) enum Form {
+pub(super) enum JsonForm {
     /// Neither list nor object.
     #[default]
     Other,
@@ -17,7 +17,7 @@ pub(super) enum Form {
     },
 }
 
-impl Reading for Form {
+impl Lenient for JsonForm {
     fn list(&mut self) {
         *self = Self::List;
     }

@@ -20,7 +20,7 @@ use serde_json::Value;
 pub(super) use boxes::{Boxes, PictureBox};
 pub(super) use described::Canvas;
 
-use form::Form;
+use form::JsonForm;
 
 use super::features::{DrawnFeature, Geometry};
 use super::mosaic::Picture;
@@ -61,8 +61,8 @@ impl Program {
         }
         let is_text = path.extension().is_some_and(|extension| extension == "txt");
         match serde_json::from_str(text) {
-            Ok(Read(Form::List)) => Some(Self::LabelStudio),
-            Ok(Read(Form::Object { has_images })) => has_images.then_some(Self::Coco),
+            Ok(AnyJson(JsonForm::List)) => Some(Self::LabelStudio),
+            Ok(AnyJson(JsonForm::Object { has_images })) => has_images.then_some(Self::Coco),
             _ => (is_text || yolo::begins(text)).then_some(Self::YoloObb),
         }
     }

@@ -15,7 +15,7 @@ use serde::Deserialize;
 use serde_json::{Value, json};
 
 use crate::annotate::Losses;
-use crate::annotate::geojson::{self, GeoJson, of_image};
+use crate::annotate::geojson::{self, GeoJsonFile, of_image};
 use crate::camera_images::file;
 use crate::serve::access::Who;
 use crate::serve::http::{App, Asks, MapOf, Refusal, named};
@@ -127,7 +127,7 @@ pub struct Saying {
     #[serde(default)]
     author: Option<String>,
     /// GeoJSON, as `evermap annotate --import` reads it; on an image, px from its upper left corner.
-    features: GeoJson,
+    features: GeoJsonFile,
 }
 
 /// `POST /teach/{site}`: says what features have drawn, in the map or, named as for [`labels`], on an image. What is
