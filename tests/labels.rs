@@ -210,6 +210,13 @@ fn labels_are_drawn_once_and_move_with_the_poses_of_every_version() {
     assert_eq!(svg.matches(" off the newest").count(), 2);
     let none = evermap(&[&drawn[..], &["--since", "9"]].concat()).expect(1);
     assert!(none.stderr.contains("no version 9"), "{}", none.stderr);
+    let (other, render) = (lot.path("other.svg"), ["render", "--map", text(&map)]);
+    for view in ["map", "metric", "views", "similarities", "stable"] {
+        let shown = ["--view", view, "--since", "1", "--out", text(&other)];
+        let told = evermap(&[&render[..], &shown].concat()).expect(1).stderr;
+        let expected = format!("--since is for the views changes and labels, found {view}");
+        assert!(told.contains(&expected) && !other.exists(), "{told}");
+    }
     let before = evermap(&[&drawn[..], &["--version", "1"]].concat()).expect(1);
     assert!(
         before.stderr.contains("no labels of lot"),

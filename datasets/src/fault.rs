@@ -1,6 +1,7 @@
 //! DataFusion's errors as faults with a kind, and faults on their way through DataFusion.
 
 mod objects;
+mod regular;
 mod unplanned;
 
 use arrow::datatypes::DataType;
@@ -9,6 +10,7 @@ use datafusion::error::DataFusionError;
 use datafusion::sql::sqlparser::parser::ParserError;
 use evermap_schemas::{Cell, Fault, Kind, Pose, type_name};
 
+use crate::fault::regular::no_expression;
 use crate::fault::unplanned::{unfound, unplanned};
 
 pub use crate::fault::objects::{changed, store_fault, with_credentials};
@@ -29,8 +31,12 @@ pub fn fault_of(error: &DataFusionError) -> Fault {
         cause = error.source();
     }
     let root = error.find_root();
-    if let Some(fault) = Fault::parse(&root.to_string()) {
+    let whole = root.to_string();
+    if let Some(fault) = Fault::parse(&whole) {
         return fault;
+    }
+    if let Some(said) = no_expression(&whole) {
+        return at(Fault::user(said), place);
     }
     if let DataFusionError::SchemaError(error, _) = root
         && let Some((said, next)) = unfound(error, place.is_some())

@@ -573,6 +573,28 @@ fn the_page_tells_what_a_row_was_made_from() {
     ended("serve/lineage.py", &[&server.http]);
 }
 
+/// What is said is on the disk before it is answered, also where somebody took the log away that was written until then.
+#[test]
+fn what_is_said_after_a_log_is_removed_is_in_another_one() {
+    let folder = tempfile::tempdir().unwrap();
+    let map = map(folder.path());
+    let labels = folder.path().join("labels");
+    let server = Server::start(&map, &["--teach", text(&labels)]);
+    let log = labels.join("map/lot/lot_ada.mcap");
+    let says = |word: &str| String::from_utf8_lossy(&std::fs::read(&log).unwrap()).contains(word);
+    ended("serve/teach.py", &["dawn", &server.http]);
+    assert!(says("dawn"));
+    std::fs::remove_file(&log).unwrap();
+    ended("serve/teach.py", &["dusk", &server.http]);
+    assert!(says("dusk") && !says("dawn"));
+    std::fs::remove_dir_all(&labels).unwrap();
+    ended("serve/teach.py", &["dusk", &server.http]);
+    assert!(says("dusk"));
+    let told = server.stopped();
+    let gone = format!("{} is no longer there", text(&log));
+    assert_eq!(told.matches(&gone).count(), 2, "{told}");
+}
+
 /// What people say is written as who they are, before it is answered, and nothing else is written by anybody.
 #[test]
 fn people_teach_by_http_and_everything_else_is_refused() {

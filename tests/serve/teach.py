@@ -1,4 +1,4 @@
-"""Says things of a map by HTTP: read-only|taught|later|painted|people|blind|missed|learnt ADDRESS; by its page: page|accepted|answered|drawn ADDRESS."""
+"""Says things of a map by HTTP: read-only|taught|later|dawn|dusk|painted|people|blind|missed|learnt ADDRESS; by its page: page|accepted|answered|drawn ADDRESS."""
 
 import json
 import struct
@@ -83,7 +83,7 @@ def painted(host):
         (region("sky", [[1, 1], [300, 1], [9, 9]]), "expected points within the image, 256 x 83 px, found (300, 1)"),
         (region("sky", [[0, 0], [4, 4], [4, 0], [0, 4]]), "that does not cross itself, found that it does at (2, 2)"),
         (region("sky", [[1, 1], [9, 1]]), "expected 3 to 4096 points, found 2"),
-        (region("sky", [[k % 250, k % 80] for k in range(5000)]), "expected 3 to 4096 points, found 5000"),
+        (region("sky", [[k % 250, k % 80] for k in range(5000)]), "feature with more than 4096 points"),
         (region("", [[1, 1], [9, 1], [9, 9]]), "expected a class as kind"),
         (region("sky", [[1, 1], [9, 1], [9, 9]], standing="accepted"), "expected drawn or removed, found accepted"),
         (feature("sky", [[1, 1], [9, 1]], shape="LineString"), "expected brush_px of a line"),
@@ -416,6 +416,12 @@ def main(what, host):
     if what in others:
         return others[what](host)
     here = f"http://{host}/teach"
+    if what in ("dawn", "dusk"):
+        row = 4 * len(ask(f"{here}/lot")[1]["labels"])
+        ring = [[0, row], [3, row], [3, row + 2], [0, row + 2]]
+        status, said = ask(f"{here}/lot", {"author": "ada", "features": feature(what, ring)})
+        assert status == 200 and said["saved"] == 1, said
+        return
     status, may = ask(here)
     assert status == 200
     if what == "read-only":
@@ -463,10 +469,12 @@ def main(what, host):
     assert status == 200 and searched["hypotheses"] == [] and searched["revision"] >= said["revision"], searched
 
     before = ask(f"{here}/lot")[1]
-    for author in ["../ada", "a/b", "", "  ", "..", "x" * 65, "a\u0000b", ".hidden"]:
+    for author in ["../ada", "a/b", "", "  ", "..", "x" * 65, "\U00020000" * 64, "a\u0000b", ".hidden"]:
         assert ask(f"{here}/lot", {"author": author, "features": feature("spot", [[20, 1], [22, 1], [22, 3]])})[0] == 400, author
     for site in ["..", "nowhere", "%2e%2e%2flot", "lot%2f.."]:
         assert ask(f"{here}/{site}", {"author": "ada", "features": feature("spot", BOX)})[0] in (400, 404), site
+    status, said = ask(f"{here}/nowhere")
+    assert status == 400 and said["error"] == 'no site "nowhere" in this map' and said["next"].startswith("its sites: "), said
     crossed = feature("spot", [[0, 0], [4, 4], [4, 0], [0, 4]])
     endless = feature("spot", [[0, 0], [4, 0], [4, 1e300]])
     for said in [crossed, endless, {"type": "Feature"}, 7, [], {"type": "FeatureCollection", "features": 3}]:
@@ -476,7 +484,8 @@ def main(what, host):
         assert ask(f"{here}/lot", body, kind)[0] in (400, 415), (body, kind)
     huge = json.dumps({"author": "ada", "features": feature("spot", [[k, k % 7] for k in range(400_000)])}).encode()
     try:
-        assert ask(f"{here}/lot", huge)[0] in (400, 413)
+        status, said = ask(f"{here}/lot", huge)
+        assert status == 413 and "a request of at most 2 MiB" in said["error"], said
     except URLError as ended:
         # The server need not read to the end what is too long.
         assert isinstance(ended.reason, (BrokenPipeError, ConnectionResetError)), ended

@@ -5,7 +5,7 @@
 //! next *part*, `labels_2.mcap` beside `labels.mcap`.
 
 use std::collections::BTreeMap;
-use std::fs::{File, OpenOptions};
+use std::fs::{File, Metadata, OpenOptions};
 use std::io::{BufWriter, ErrorKind, Write};
 use std::path::{Path, PathBuf};
 
@@ -93,6 +93,15 @@ impl AnnotationLog {
         &self.path
     }
 
+    /// Whether it is still what stands at its path. A log that was removed meanwhile, or whose place another file took, is
+    /// written to, and nobody finds it.
+    pub fn is_there(&self) -> bool {
+        match (std::fs::metadata(&self.path), self.file.metadata()) {
+            (Ok(found), Ok(own)) => is_same(&found, &own),
+            _ => false,
+        }
+    }
+
     /// Ends the part.
     ///
     /// # Errors
@@ -105,6 +114,18 @@ impl AnnotationLog {
         sync(&self.file, &self.path)?;
         Ok(self.path)
     }
+}
+
+#[cfg(unix)]
+fn is_same(one: &Metadata, other: &Metadata) -> bool {
+    use std::os::unix::fs::MetadataExt;
+    (one.dev(), one.ino()) == (other.dev(), other.ino())
+}
+
+/// The system does not say which file it is: one that is open cannot be removed there.
+#[cfg(not(unix))]
+fn is_same(_: &Metadata, _: &Metadata) -> bool {
+    true
 }
 
 fn sync(file: &File, path: &Path) -> Result<(), RecordingError> {

@@ -111,6 +111,26 @@ async fn what_was_said_is_read_back() {
     );
 }
 
+/// Who writes on says things into a file that has no name any more.
+#[test]
+fn a_log_is_there_until_it_is_removed_or_another_takes_its_place() {
+    let folder = tempfile::tempdir().unwrap();
+    let target = folder.path().join("labels.mcap");
+    let mut log = AnnotationLog::begin(&target, |_| false, "a test").unwrap();
+    assert!(log.is_there());
+    log.say_all(&[drawn(0)]).unwrap();
+    assert!(log.is_there());
+    fs::remove_file(&target).unwrap();
+    assert!(!log.is_there());
+    fs::write(&target, "another file").unwrap();
+    assert!(!log.is_there());
+
+    let next = AnnotationLog::begin(&target, |_| false, "a test").unwrap();
+    assert!(next.is_there() && next.path().ends_with("labels_2.mcap"));
+    fs::rename(next.path(), folder.path().join("moved.mcap")).unwrap();
+    assert!(!next.is_there());
+}
+
 #[tokio::test]
 async fn a_killed_program_leaves_all_that_was_said_and_is_gone_on_from() {
     let folder = tempfile::tempdir().unwrap();

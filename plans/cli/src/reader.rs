@@ -236,7 +236,12 @@ pub fn one_site<'n>(
     match asked {
         _ if sites.is_empty() => Err(nothing()),
         Some(asked) if sites.contains(asked) => Ok(asked.to_owned()),
-        Some(asked) => Err(choose(format!("no site {asked}"), "site", &sites)),
+        // By HTTP too, which has no options.
+        Some(asked) => {
+            let sites: Vec<&str> = sites.into_iter().collect();
+            let fault = Fault::user(format!("no site {asked:?} in this map"));
+            Err(fault.next(format!("its sites: {}", sites.join(", "))))
+        }
         None if sites.len() == 1 => Ok(sites.into_iter().collect()),
         None => Err(choose("frames differ from site to site", "site", &sites)),
     }

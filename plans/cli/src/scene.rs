@@ -143,7 +143,7 @@ pub async fn scene(reader: &MapReader, site: Option<&str>) -> Result<(Scene, Vec
     {
         let known = sites.join(", ");
         return Err(Fault::user(format!(
-            "no site {site} in this map; there are {known}"
+            "no site {site:?} in this map; there are {known}"
         )));
     }
     let site = site.or(sites.first().map(String::as_str));

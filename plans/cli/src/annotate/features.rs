@@ -7,15 +7,17 @@ use evermap_algorithms::labels::shapes::{self, Outline, crossing};
 use evermap_catalog::painted::ImageKey;
 use evermap_schemas::Fault;
 use evermap_schemas::roles::FARTHEST_M;
-use serde_json::Value;
 
+use super::geojson::{self, GeoJsonFile};
 use super::mosaic::Picture;
 use super::pixels::Program;
-use super::{Losses, geojson};
-use crate::export::ON_EARTH;
+use super::{Losses, no_json, read_text};
 
 /// A polygon of less than this has no area, m²: a square centimetre.
 const LEAST_M2: f64 = 1e-4;
+
+/// What is said of a feature with more than [`shapes::MOST_POINTS`].
+pub(super) const TOO_MANY_POINTS: &str = "feature with more than 4096 points";
 
 /// One feature of a file.
 #[derive(Debug, Clone, PartialEq)]
@@ -63,8 +65,7 @@ pub fn read(
     losses: &mut Losses,
 ) -> Result<Vec<DrawnFeature>, Fault> {
     let at = |fault: Fault| fault.at(path.display());
-    let text = evermap_datasets::read_text(path)
-        .map_err(|error| at(Fault::user(format!("expected a file, found {error}"))))?;
+    let text = read_text(path).map_err(at)?;
     if let Some(program) = Program::of(path, &text) {
         let picture = mosaic.ok_or_else(|| {
             at(Fault::user("these annotations are in pixels of a picture")
@@ -72,18 +73,18 @@ pub fn read(
         })?;
         return program.read(path, &text, picture, losses).map_err(at);
     }
-    let value: Value = serde_json::from_str(&text)
-        .map_err(|error| at(Fault::user(format!("expected JSON, found {error}"))))?;
-    if value["coordinates"] == ON_EARTH {
+    let file: GeoJsonFile = serde_json::from_str(&text).map_err(|error| at(no_json(&error)))?;
+    drop(text);
+    if file.is_on_earth() {
         let fault =
             Fault::user("expected features in the map's metres, found longitude and latitude");
         return Err(at(fault.next(
             "`evermap export --format geojson --local` writes the former",
         )));
     }
-    match value.get("type") {
-        Some(_) => geojson::features(&value, losses).map_err(at),
-        None => Err(at(Fault::user(
+    match file.is_typed() {
+        true => geojson::features(file, losses).map_err(at),
+        false => Err(at(Fault::user(
             "expected GeoJSON, COCO, CVAT (XML), Label Studio (JSON) or YOLO's oriented boxes (text), found other JSON",
         ))),
     }
@@ -115,7 +116,7 @@ impl Geometry {
         let mut points: Vec<[f64; 3]> = points.iter().map(raised).collect();
         points.dedup();
         if points.len() > shapes::MOST_POINTS {
-            return Err("feature with more than 4096 points");
+            return Err(TOO_MANY_POINTS);
         }
         match self {
             Self::Open(_) if points.len() < 2 => Err("line of less than two points"),

@@ -1,38 +1,34 @@
 //! Features of GeoJSON whose coordinates are the map's metres.
 
+mod coordinates;
+mod members;
+
 use evermap_catalog::painted::ImageKey;
-use evermap_schemas::{Fault, Stamp};
+use evermap_schemas::Fault;
 use serde_json::Value;
 
-use super::features::{DrawnFeature, Geometry, Point};
+use super::features::DrawnFeature;
 use super::{Losses, is_blank};
+use crate::annotate::geojson::members::{MOST_FEATURES, WrittenFeature};
+
+pub use crate::annotate::geojson::members::GeoJsonFile;
 
 /// The features of a collection, of one feature, or of a bare geometry.
 ///
 /// # Errors
-/// A user fault for a collection without a list of features.
-pub fn features(value: &Value, losses: &mut Losses) -> Result<Vec<DrawnFeature>, Fault> {
-    if let Some(name) = value["crs"]["properties"]["name"].as_str() {
+/// A user fault for a collection without a list of features, or with too many.
+pub fn features(file: GeoJsonFile, losses: &mut Losses) -> Result<Vec<DrawnFeature>, Fault> {
+    if let Some(name) = file.crs.name() {
         // Programs that know of no local metres write one.
         losses.remark(&format!(
             "note: coordinates are read as the map's metres, whatever `crs` of the file says: {name}"
         ));
     }
-    let all = match value["type"].as_str() {
-        Some("FeatureCollection") => value["features"].as_array().cloned().ok_or_else(|| {
-            Fault::user("expected a list of features in a FeatureCollection, found none")
-                .next("export the features themselves as GeoJSON (in QGIS: Save Features As)")
-        })?,
-        Some("Feature") => vec![value.clone()],
-        _ => vec![serde_json::json!({ "type": "Feature", "geometry": value })],
-    };
+    let all = listed(file)?;
     let mut found = Vec::with_capacity(all.len());
-    for (number, value) in all.iter().enumerate() {
-        let place = match text(label(value)) {
-            Some(label) => format!("feature {number}, label {label}"),
-            None => format!("feature {number}"),
-        };
-        match feature(value, &place) {
+    for (number, feature) in all.into_iter().enumerate() {
+        let place = feature.place(number);
+        match feature.drawn(place.clone()) {
             Ok(feature) => found.push(feature),
             Err(reason) => losses.note(reason, &place),
         }
@@ -40,40 +36,25 @@ pub fn features(value: &Value, losses: &mut Losses) -> Result<Vec<DrawnFeature>,
     Ok(found)
 }
 
-/// # Errors
-/// In words, for what is no feature of a map.
-fn feature(value: &Value, place: &str) -> Result<DrawnFeature, &'static str> {
-    let properties = &value["properties"];
-    Ok(DrawnFeature {
-        place: place.to_owned(),
-        label: said(label(value))?,
-        within_m: None,
-        kind: said(&properties["kind"])?,
-        category: None,
-        standing: said(&properties["standing"])?,
-        geometry: geometry(&value["geometry"])?,
-        brush_px: properties["brush_px"].as_f64(),
-        image: image(&properties["image"])?,
-    })
-}
-
-/// The label that a feature is: its property `label`, and only where it has no such property its `id`, which other programs
-/// make of the numbers of rows.
-fn label(feature: &Value) -> &Value {
-    let property = feature["properties"].get("label");
-    property.unwrap_or(&feature["id"])
-}
-
-/// A text, where there is one.
+/// The features of a file as they stand there.
 ///
 /// # Errors
-/// In words, for what is there and is none: what it says is not known.
-fn said(value: &Value) -> Result<Option<String>, &'static str> {
-    match value {
-        Value::Array(_) | Value::Object(_) | Value::Bool(_) => {
-            Err("feature whose label, kind or standing is neither text nor number")
+/// As [`features`].
+fn listed(file: GeoJsonFile) -> Result<Vec<WrittenFeature>, Fault> {
+    match file.geometry.kind.0.as_deref() {
+        Some("FeatureCollection") if !file.features.is_list => {
+            let fault =
+                Fault::user("expected a list of features in a FeatureCollection, found none");
+            Err(fault.next("export the features themselves as GeoJSON (in QGIS: Save Features As)"))
         }
-        value => Ok(text(value)),
+        Some("FeatureCollection") if file.features.count > MOST_FEATURES => {
+            let found = file.features.count;
+            let fault = format!("expected at most {MOST_FEATURES} features, found {found}");
+            Err(Fault::user(fault).next("make several files of it"))
+        }
+        Some("FeatureCollection") => Ok(file.features.first),
+        Some("Feature") => Ok(vec![file.feature]),
+        _ => Ok(vec![WrittenFeature::bare(file.geometry)]),
     }
 }
 
@@ -86,69 +67,24 @@ pub(super) fn text(value: &Value) -> Option<String> {
     }
 }
 
-/// The image that shows a feature; `None` where it names none. Its instant (ns) may be a text: JavaScript rounds such numbers.
-fn image(value: &Value) -> Result<Option<ImageKey>, &'static str> {
-    if value.is_null() {
-        return Ok(None);
-    }
-    let stamp = &value["stamp"];
-    let stamp = stamp.as_i64().or_else(|| stamp.as_str()?.parse().ok());
-    match (text(&value["session"]), stamp, text(&value["camera"])) {
-        (Some(session), Some(stamp), Some(camera)) => Ok(Some((session, Stamp(stamp), camera))),
-        _ => Err("feature of an image without session, stamp (ns) and camera"),
-    }
-}
-
 /// The properties of a feature that say which image shows it.
 pub fn of_image((session, stamp, camera): &ImageKey) -> Value {
     serde_json::json!({ "session": session, "stamp": stamp.0.to_string(), "camera": camera })
 }
 
-/// The outline of a geometry; `None` for a feature that has none.
-fn geometry(value: &Value) -> Result<Option<Geometry>, &'static str> {
-    let coordinates = &value["coordinates"];
-    let only = |parts: &Value| match parts.as_array().map(Vec::as_slice) {
-        Some([one]) => Ok(one.clone()),
-        _ => Err("geometry of several parts"),
-    };
-    Ok(Some(match value["type"].as_str() {
-        None if value.is_null() => return Ok(None),
-        Some("LineString") => Geometry::Open(points(coordinates)?),
-        Some("MultiLineString") => Geometry::Open(points(&only(coordinates)?)?),
-        Some("Polygon") => ring(coordinates)?,
-        Some("MultiPolygon") => ring(&only(coordinates)?)?,
-        _ => return Err("geometry that is neither polygon nor line"),
-    }))
-}
-
-fn ring(rings: &Value) -> Result<Geometry, &'static str> {
-    match rings.as_array().map(Vec::as_slice) {
-        Some([outer]) => Ok(Geometry::Closed(points(outer)?)),
-        Some([_, ..]) => Err("polygon with holes"),
-        _ => Err("polygon without a ring"),
-    }
-}
-
-fn points(positions: &Value) -> Result<Vec<Point>, &'static str> {
-    let bad = "feature with a position that is not a list of numbers";
-    let point = |position: &Value| {
-        let numbers: Option<Vec<f64>> = position.as_array()?.iter().map(Value::as_f64).collect();
-        match numbers?.as_slice() {
-            [x, y] => Some(([*x, *y], None)),
-            [x, y, z, ..] => Some(([*x, *y], Some(*z))),
-            _ => None,
-        }
-    };
-    let points: Option<Vec<Point>> = positions.as_array().ok_or(bad)?.iter().map(point).collect();
-    points.ok_or(bad)
-}
-
 #[cfg(test)]
 mod tests {
     #![allow(clippy::unwrap_used)]
+    use evermap_schemas::Stamp;
     use serde_json::json;
 
     use super::*;
+
+    /// The features of a file, as it is read.
+    fn features(value: &Value, losses: &mut Losses) -> Result<Vec<DrawnFeature>, Fault> {
+        let file = serde_json::from_str(&value.to_string()).unwrap();
+        super::features(file, losses)
+    }
 
     #[test]
     fn the_property_label_goes_before_the_number_of_a_row() {
@@ -226,6 +162,55 @@ mod tests {
         let mut losses = Losses::default();
         features(&file, &mut losses).unwrap();
         assert!(losses.counts.is_empty() && losses.lines[0].contains(name));
+    }
+
+    #[test]
+    fn a_collection_of_too_many_features_is_refused_and_they_are_not_held() {
+        let read = |count: usize| {
+            let listed = vec!["0"; count].join(",");
+            let text = format!(r#"{{"features": [{listed}], "type": "FeatureCollection"}}"#);
+            let file: GeoJsonFile = serde_json::from_str(&text).unwrap();
+            assert!(file.features.first.len() <= MOST_FEATURES);
+            super::features(file, &mut Losses::default())
+        };
+        assert_eq!(read(3).unwrap().len(), 3);
+        let said = read(MOST_FEATURES + 1).unwrap_err().to_string();
+        let expected = "expected at most 500000 features, found 500001";
+        assert!(said.contains(expected), "{said}");
+    }
+
+    /// Whatever order its members have, and whatever they are.
+    #[test]
+    fn json_is_a_file_of_no_a_few_or_odd_features_and_never_more_than_it_says() {
+        let told = |text: &str| {
+            let file: GeoJsonFile = serde_json::from_str(text).unwrap();
+            let mut losses = Losses::default();
+            let found = super::features(file, &mut losses).unwrap();
+            let drawn = found.iter().filter(|feature| feature.geometry.is_some());
+            (found.len(), drawn.count(), losses.lines)
+        };
+        let line = r#"{"coordinates": [[0, 1], [2, 3]], "type": "LineString", "bbox": [0, 1e9]}"#;
+        assert_eq!(told(line), (1, 1, vec![]));
+        let feature = format!(r#"{{"geometry": {line}, "type": "Feature", "properties": [1]}}"#);
+        assert_eq!(told(&feature), (1, 1, vec![]));
+        let nothing = r#"{"geometry": null, "id": " "}"#;
+        let all =
+            format!(r#"{{"features": [{feature}, {nothing}, []], "type": "FeatureCollection"}}"#);
+        assert_eq!(told(&all), (3, 1, vec![]));
+        assert_eq!(told("null"), (1, 0, vec![]));
+        let other = "feature 0: geometry that is neither polygon nor line".to_owned();
+        for odd in [
+            "3",
+            "[]",
+            "\"LineString\"",
+            "{}",
+            r#"{"type": ["Feature"]}"#,
+        ] {
+            assert_eq!(told(odd), (0, 0, vec![other.clone()]), "{odd}");
+        }
+        let odd = r#"{"type": "Feature", "id": true, "properties": {"label": {"a": 1}}}"#;
+        let told = told(odd).2;
+        assert!(told[0].contains("neither text nor number"), "{told:?}");
     }
 
     #[test]

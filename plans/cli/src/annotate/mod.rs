@@ -16,6 +16,7 @@ pub mod mosaic;
 pub mod people;
 pub mod person_images;
 pub mod pixels;
+mod reading;
 pub mod saying;
 pub mod state;
 
@@ -69,6 +70,29 @@ impl Losses {
             line(&format!("… and {} more", self.lines.len() - MOST_LINES));
         }
     }
+}
+
+/// A file of another program as text.
+///
+/// # Errors
+/// A user fault for what is no file, or no text of UTF-8.
+fn read_text(path: &Path) -> Result<String, Fault> {
+    let text = evermap_datasets::read_text(path)
+        .map_err(|error| Fault::user(format!("expected a file, found {error}")))?;
+    match text.find('\0') {
+        None => Ok(text),
+        // All letters of a file in UTF-16 may be letters of UTF-8, too, with this one between them.
+        Some(at) => {
+            let (number, next) = (at + 1, "save it as UTF-8: it may be UTF-16");
+            let fault = format!("expected text in UTF-8, found 0 as byte {number} of the file");
+            Err(Fault::user(fault).next(next))
+        }
+    }
+}
+
+/// That a text is no JSON.
+fn no_json(error: &serde_json::Error) -> Fault {
+    Fault::user(format!("expected JSON, found {error}"))
 }
 
 /// Whether a text says nothing: runs throw acts away whose author or kind is empty.
@@ -128,7 +152,30 @@ pub fn unwritten(error: RecordingError) -> Fault {
 
 #[cfg(test)]
 mod tests {
+    #![allow(clippy::unwrap_used)]
     use super::*;
+
+    /// Its letters are letters of UTF-8, too: where it has no mark at its beginning, nothing else tells.
+    #[test]
+    fn a_file_in_utf_16_is_told_as_such() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.json");
+        let text = r#"{"type": "FeatureCollection"}"#;
+        let units = || text.encode_utf16();
+        let little: Vec<u8> = units().flat_map(u16::to_le_bytes).collect();
+        let big: Vec<u8> = units().flat_map(u16::to_be_bytes).collect();
+        for (bytes, at) in [(little, 2), (big, 1)] {
+            std::fs::write(&path, bytes).unwrap();
+            let told = read_text(&path).unwrap_err().to_string();
+            let expected = format!("expected text in UTF-8, found 0 as byte {at} of the file");
+            assert!(
+                told.contains(&expected) && told.contains("UTF-16"),
+                "{told}"
+            );
+        }
+        std::fs::write(&path, text).unwrap();
+        assert_eq!(read_text(&path).unwrap(), text);
+    }
 
     #[test]
     fn a_command_to_copy_is_one_for_a_shell() {

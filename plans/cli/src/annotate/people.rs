@@ -6,12 +6,12 @@ use std::path::Path;
 use evermap_catalog::PERSON;
 use evermap_schemas::Fault;
 
-use super::Losses;
 use super::features::DrawnFeature;
 use super::mapped_image::{MappedImage, PixelBox, same};
 use super::person_images::{AskedBox, PersonImage, PersonImages};
 use super::pixels::{Boxes, PictureBox, Pixel, Program};
 use super::state::State;
+use super::{Losses, read_text};
 
 /// What a file of COCO, CVAT or Label Studio says of the images of a folder that `evermap export --format coco` wrote. What
 /// makes no sense is noted and left out; `plane_m` is the height of the ground in the vehicle frame.
@@ -33,8 +33,7 @@ pub fn read(
         .at(folder.display()));
     }
     let at = |fault: Fault| fault.at(file.display());
-    let text = evermap_datasets::read_text(file)
-        .map_err(|error| at(Fault::user(format!("expected a file, found {error}"))))?;
+    let text = read_text(file).map_err(at)?;
     let program = Program::of(file, &text).ok_or_else(|| {
         at(Fault::user(
             "expected boxes of COCO, CVAT (XML) or Label Studio (JSON), found none of them",

@@ -1,5 +1,6 @@
 //! `evermap render`.
 
+use clap::ValueEnum;
 use evermap_engine::map::version::Version;
 use evermap_schemas::layers::WarpedLabels;
 use evermap_schemas::{Fault, LayerRow};
@@ -21,6 +22,7 @@ use crate::stable::{lacking, stable_map};
 /// # Errors
 /// A user fault where there is nothing to draw, a data fault for a damaged tile.
 pub async fn render(args: &RenderArgs) -> Ending {
+    fits(args)?;
     let reader = MapReader::open(&args.map.map, args.map.version).await?;
     let picture = picture(args, &reader).await?;
     let extension = args.out.extension().unwrap_or_default();
@@ -30,6 +32,20 @@ pub async fn render(args: &RenderArgs) -> Ending {
         write_file(&args.out, &png(&picture)?)?;
     }
     DONE
+}
+
+/// That nothing is asked for which the view does not show.
+fn fits(args: &RenderArgs) -> Result<(), Fault> {
+    let has_before = matches!(args.view, Shown::Changes | Shown::Labels);
+    match args.since {
+        Some(_) if !has_before => {
+            let view = args.view.to_possible_value();
+            let view = view.map_or_else(String::new, |view| view.get_name().to_owned());
+            let fault = format!("--since is for the views changes and labels, found {view}");
+            Err(Fault::user(fault).next("leave it out, or choose one of them with --view"))
+        }
+        _ => Ok(()),
+    }
 }
 
 async fn picture(args: &RenderArgs, reader: &MapReader) -> Result<Picture, Fault> {

@@ -1,6 +1,6 @@
 //! Common Objects in Context.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::{BTreeSet, HashMap};
 
 use evermap_algorithms::ground::boxes::area;
 use evermap_schemas::Fault;
@@ -36,34 +36,29 @@ pub(super) fn read(
     }
     let described: Vec<DescribedPicture> = pictures.iter().map(described).collect();
     let chosen = which_are(canvases, &described, losses)?;
-    let chosen = pictures.iter().zip(chosen);
-    let chosen: Vec<(&Value, usize)> = chosen
-        .filter_map(|(picture, at)| Some((&picture["id"], at?)))
-        .collect();
+    let mut said = PictureAnnotations {
+        drawn: Vec::new(),
+        seen: chosen.iter().copied().flatten().collect(),
+        unread: BTreeSet::new(),
+    };
+    let known = by_id(pictures.iter().zip(chosen));
+    let names = by_id(categories.iter().map(|one| (one, text(&one["name"]))));
     // A file without pictures is of the only one that there is.
     let picture_of = |id: &Value| match pictures {
         [] => Some(0),
-        _ => chosen.iter().find(|(of, _)| *of == id).map(|(_, at)| *at),
+        _ => known.get(id).copied().flatten(),
     };
-    let is_known = |id: &Value| pictures.iter().any(|picture| picture["id"] == *id);
-    let mut said = PictureAnnotations {
-        drawn: Vec::new(),
-        seen: chosen.iter().map(|(_, at)| *at).collect(),
-        unread: BTreeSet::new(),
-    };
+    let mut may_be_of_any = false;
     for (number, annotation) in annotations.iter().enumerate() {
         let place = format!("annotation {number}");
         let id = &annotation["image_id"];
         let Some(at) = picture_of(id) else {
             losses.note(OF_ANOTHER, &place);
-            if !is_known(id) {
-                // It may be of any of them.
-                said.unread.extend(&said.seen);
-            }
+            may_be_of_any |= !known.contains_key(id);
             continue;
         };
         let read = shape(annotation)
-            .and_then(|shape| Ok((shape, category(categories, &annotation["category_id"])?)));
+            .and_then(|shape| Ok((shape, category(&names, &annotation["category_id"])?)));
         match read {
             Ok((shape, kind)) => {
                 if is_coarse(&annotation["segmentation"]) {
@@ -79,7 +74,19 @@ pub(super) fn read(
             }
         }
     }
+    if may_be_of_any {
+        said.unread.extend(&said.seen);
+    }
     Ok(said)
+}
+
+/// What is known of each of a list, by its id; of those that have one in common, of the first.
+fn by_id<'v, T>(list: impl Iterator<Item = (&'v Value, T)>) -> HashMap<&'v Value, T> {
+    let mut known = HashMap::new();
+    for (one, what) in list {
+        known.entry(&one["id"]).or_insert(what);
+    }
+    known
 }
 
 /// That a file has no such list: nothing that is not in it is gone.
@@ -110,13 +117,14 @@ fn of_one(annotations: &[Value]) -> Result<(), Fault> {
 ///
 /// # Errors
 /// In words, for a category that has no name.
-fn category(categories: &[Value], id: &Value) -> Result<Option<String>, &'static str> {
+fn category(
+    names: &HashMap<&Value, Option<String>>,
+    id: &Value,
+) -> Result<Option<String>, &'static str> {
     if id.is_null() {
         return Ok(None);
     }
-    let mut categories = categories.iter();
-    let found = categories.find(|category| category["id"] == *id);
-    let name = found.and_then(|category| text(&category["name"]));
+    let name = names.get(id).cloned().flatten();
     name.map(Some)
         .ok_or("annotation of a category that the file does not name")
 }
@@ -138,10 +146,10 @@ fn is_coarse(segmentation: &Value) -> bool {
 /// # Errors
 /// A user fault with what two of them are called.
 fn distinct(what: &str, list: &[Value], name: &str) -> Result<(), Fault> {
-    let mut first: BTreeMap<String, &Value> = BTreeMap::new();
+    let mut first: HashMap<&Value, &Value> = HashMap::new();
     for one in list {
-        let id = one["id"].to_string();
-        let first = *first.entry(id.clone()).or_insert(one);
+        let id = &one["id"];
+        let first = *first.entry(id).or_insert(one);
         if first[name] != one[name] {
             let (one, other) = (&first[name], &one[name]);
             let fault = format!(

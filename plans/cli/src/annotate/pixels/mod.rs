@@ -4,6 +4,7 @@ mod boxes;
 mod coco;
 mod cvat;
 mod described;
+mod form;
 mod label_studio;
 mod yolo;
 
@@ -19,9 +20,12 @@ use serde_json::Value;
 pub(super) use boxes::{Boxes, PictureBox};
 pub(super) use described::Canvas;
 
+use form::JsonForm;
+
 use super::features::{DrawnFeature, Geometry};
 use super::mosaic::Picture;
-use super::{Losses, is_blank};
+use super::reading::Read;
+use super::{Losses, is_blank, no_json};
 use crate::ending::Failure;
 use crate::scene::corners;
 
@@ -57,8 +61,8 @@ impl Program {
         }
         let is_text = path.extension().is_some_and(|extension| extension == "txt");
         match serde_json::from_str(text) {
-            Ok(Value::Array(_)) => Some(Self::LabelStudio),
-            Ok(Value::Object(members)) => members.contains_key("images").then_some(Self::Coco),
+            Ok(AnyJson(JsonForm::List)) => Some(Self::LabelStudio),
+            Ok(AnyJson(JsonForm::Object { has_images })) => has_images.then_some(Self::Coco),
             _ => (is_text || yolo::begins(text)).then_some(Self::YoloObb),
         }
     }
@@ -93,10 +97,7 @@ impl Program {
         canvases: &[Canvas],
         losses: &mut Losses,
     ) -> Result<PictureAnnotations, Fault> {
-        let json = || {
-            serde_json::from_str(text)
-                .map_err(|error| Fault::user(format!("expected JSON, found {error}")))
-        };
+        let json = || serde_json::from_str(text).map_err(|error| no_json(&error));
         match self {
             Self::Coco => coco::read(&json()?, canvases, losses),
             Self::Cvat => cvat::read(text, canvases, losses),

@@ -760,3 +760,34 @@ fn a_kind_of_two_lines_is_counted() {
         assert_eq!(counts, [(told.to_owned(), 1)], "{program:?}");
     }
 }
+
+/// Of as many as there are, it would take minutes to look for each anew.
+#[test]
+fn annotations_of_tens_of_thousands_of_images_are_told_apart_by_id() {
+    const IMAGES: usize = 40_000;
+    let folder = tempfile::tempdir().unwrap();
+    let picture = picture(folder.path());
+    let image = |id: usize| match id + 1 == IMAGES {
+        true => json!({ "id": id, "file_name": "lot.png" }),
+        false => json!({ "id": id, "file_name": format!("{id}.png") }),
+    };
+    let category = |id: usize| json!({ "id": id, "name": format!("kind {id}") });
+    // Each image has three; of others that are not there, there are two.
+    let annotation = |number: usize| {
+        let id = number % (2 * IMAGES);
+        json!({ "image_id": id, "category_id": id % IMAGES, "bbox": [1, 1, 4, 8] })
+    };
+    let file = json!({
+        "images": (0..IMAGES).map(image).collect::<Vec<_>>(),
+        "categories": (0..IMAGES).map(category).collect::<Vec<_>>(),
+        "annotations": (0..5 * IMAGES).map(annotation).collect::<Vec<_>>(),
+    });
+    let (path, mut losses) = (Path::new("a.json"), Losses::default());
+    let found = Program::Coco.read(path, &file.to_string(), &picture, &mut losses);
+    let found = found.unwrap();
+    assert_eq!(found.len(), 3);
+    let kind = format!("kind {}", IMAGES - 1);
+    assert!(found.iter().all(|one| one.category.as_ref() == Some(&kind)));
+    let lost = losses.counts.values().sum::<u64>();
+    assert_eq!(lost, 5 * IMAGES as u64 - 3);
+}

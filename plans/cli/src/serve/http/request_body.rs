@@ -74,6 +74,9 @@ where
     }
 }
 
+/// What a request says is no longer than this, bytes: axum's own bound.
+const LONGEST: usize = 2 << 20;
+
 /// That a body was not there in time.
 #[derive(Debug)]
 struct Late;
@@ -112,7 +115,14 @@ impl From<BytesRejection> for Refusal {
             }
             cause = error.source();
         }
-        Self::new(rejection.status(), Fault::user(rejection.body_text()))
+        let fault = match rejection.status() {
+            StatusCode::PAYLOAD_TOO_LARGE => Fault::user(format!(
+                "expected a request of at most {} MiB, found a longer one",
+                LONGEST >> 20
+            )),
+            _ => Fault::user(rejection.body_text()),
+        };
+        Self::new(rejection.status(), fault)
     }
 }
 
@@ -149,6 +159,18 @@ mod tests {
         let read = Bytes::from_request(request, &()).await;
         let connection = asked.within(short, tokio::time::sleep(2 * short));
         (read.map_err(Refusal::from), connection.await.is_some())
+    }
+
+    #[tokio::test]
+    async fn a_request_that_is_too_long_is_told_how_long_it_may_be() {
+        let (read_whole, _) = read(vec![b' '; LONGEST].into()).await;
+        assert!(read_whole.is_ok());
+        let (refused, _) = read(vec![b' '; LONGEST + 1].into()).await;
+        let answer = refused.map(drop).unwrap_err().into_response();
+        assert_eq!(answer.status(), StatusCode::PAYLOAD_TOO_LARGE);
+        let said = axum::body::to_bytes(answer.into_body(), 4096).await;
+        let said = String::from_utf8(said.unwrap().to_vec()).unwrap();
+        assert!(said.contains("a request of at most 2 MiB"), "{said}");
     }
 
     #[tokio::test]

@@ -14,8 +14,8 @@ use evermap_schemas::{Fault, Pose, Stamp};
 use serde::Deserialize;
 use serde_json::{Value, json};
 
-use crate::annotate::geojson::of_image;
-use crate::annotate::{Losses, geojson};
+use crate::annotate::Losses;
+use crate::annotate::geojson::{self, GeoJsonFile, of_image};
 use crate::camera_images::file;
 use crate::serve::access::Who;
 use crate::serve::http::{App, Asks, MapOf, Refusal, named};
@@ -127,7 +127,7 @@ pub struct Saying {
     #[serde(default)]
     author: Option<String>,
     /// GeoJSON, as `evermap annotate --import` reads it; on an image, px from its upper left corner.
-    features: Value,
+    features: GeoJsonFile,
 }
 
 /// `POST /teach/{site}`: says what features have drawn, in the map or, named as for [`labels`], on an image. What is
@@ -148,7 +148,7 @@ pub async fn say(
     let site = teaching.site(&map, named(&path, "site")).await?;
     let author = teaching.author_of(user, saying.author);
     let mut losses = Losses::default();
-    let features = geojson::features(&saying.features, &mut losses)?;
+    let features = geojson::features(saying.features, &mut losses)?;
     if !losses.counts.is_empty() {
         return Err(Fault::user(losses.lines.join("; "))
             .next("nothing was saved")

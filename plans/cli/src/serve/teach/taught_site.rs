@@ -190,8 +190,13 @@ impl TaughtSite {
     /// Writes acts to their author's log; the name of its session.
     pub(super) fn write(&mut self, author: &str, acts: &[Annotation]) -> Result<String, Fault> {
         let mut log = match self.logs.remove(author) {
-            Some((log, _)) => log,
-            None => self.begin(author)?,
+            Some((log, _)) if log.is_there() => log,
+            begun => {
+                if let Some((log, _)) = begun {
+                    gone(author, &log);
+                }
+                self.begin(author)?
+            }
         };
         // A log that cannot be written ends here: what follows is its next part.
         log.say_all(acts).map_err(unwritten)?;
@@ -202,8 +207,8 @@ impl TaughtSite {
     }
 
     fn begin(&self, author: &str) -> Result<AnnotationLog, Fault> {
+        let name = file_name(&self.state.site, author)?;
         made(&self.folder)?;
-        let name = format!("{}_{author}.mcap", self.state.site);
         begin(&self.folder.join(name), &self.opened.reader.map.version)
     }
 
@@ -213,6 +218,10 @@ impl TaughtSite {
         for (author, (log, last)) in all {
             if last.elapsed() < silent {
                 self.logs.insert(author, (log, last));
+                continue;
+            }
+            if !log.is_there() {
+                gone(author.as_str(), &log);
                 continue;
             }
             let site = &self.state.site;
@@ -234,6 +243,32 @@ impl Drop for TaughtSite {
     }
 }
 
+/// Bytes that the names of the first parts of logs have: file systems take 255, and later parts have `_4294967295` at most.
+const MOST_BYTES: usize = 255 - 11;
+
+/// What the log of an author is called.
+///
+/// # Errors
+/// A user fault for names that are too long together for that of a file.
+fn file_name(site: &str, author: &str) -> Result<String, Fault> {
+    let name = format!("{site}_{author}.mcap");
+    if name.len() <= MOST_BYTES {
+        return Ok(name);
+    }
+    let found = author.len();
+    let most = MOST_BYTES.saturating_sub(name.len() - found);
+    let fault = format!("expected an author of at most {most} bytes in UTF-8, found {found}");
+    Err(Fault::user(fault).next("choose a shorter name: files are called by it, and by the site"))
+}
+
+/// Tells of a log that somebody took away while it was written.
+fn gone(author: &str, log: &AnnotationLog) {
+    let path = log.path().display();
+    line(&format!(
+        "{path} is no longer there: what {author} said in it is lost, unless it was moved"
+    ));
+}
+
 /// The answers about people that a version has learnt from, by name: all that it has, where it learns from answers.
 async fn learnt(reader: &MapReader, site: &str) -> Result<BTreeMap<String, PlacedLabel>, Fault> {
     if reader.layer_of::<PersonExample>().is_none() {
@@ -253,4 +288,24 @@ fn logs(folder: &Path) -> Vec<PathBuf> {
         .collect();
     logs.sort();
     logs
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::*;
+
+    #[test]
+    fn an_author_is_as_long_as_the_name_of_a_file_may_be() {
+        assert_eq!(file_name("lot", "ada").unwrap(), "lot_ada.mcap");
+        let author = "\u{20000}".repeat(58);
+        let longest = file_name("lot", &(author.clone() + "abc")).unwrap();
+        let part = longest.replace(".mcap", "_4294967295.mcap");
+        assert_eq!(part.len(), 255);
+        let told = file_name("lot", &(author + "abcd")).unwrap_err();
+        let expected = "expected an author of at most 235 bytes in UTF-8, found 236";
+        assert!(told.to_string().contains(expected), "{told}");
+        let told = file_name(&"a".repeat(250), "ada").unwrap_err();
+        assert!(told.to_string().contains("at most 0 bytes"), "{told}");
+    }
 }
