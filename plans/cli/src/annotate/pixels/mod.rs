@@ -24,7 +24,7 @@ use form::JsonForm;
 
 use super::features::{DrawnFeature, Geometry};
 use super::mosaic::Picture;
-use super::reading::Read;
+use super::reading::AnyJson;
 use super::{Losses, is_blank, no_json};
 use crate::ending::Failure;
 use crate::scene::corners;
