@@ -178,10 +178,12 @@ impl SessionRobot {
         for (part, topic) in &self.odometry {
             let batches = batches::<Motion>(messages, part, topic, SessionFacts::default(), FIRST);
             let Ok(mut batches) = batches else { continue };
-            let Ok(Some(batch)) = batches.try_next().await else {
-                continue;
-            };
-            let mut found = rows::<Motion>(&batch).unwrap_or_default();
+            let mut found = Vec::new();
+            while found.len() < FIRST
+                && let Ok(Some(batch)) = batches.try_next().await
+            {
+                found.extend(rows::<Motion>(&batch).unwrap_or_default());
+            }
             let frame = self.vehicle.frame();
             if found.iter().any(|motion| motion.child == frame) {
                 found.retain(|motion| motion.child == frame);

@@ -297,9 +297,12 @@ mod tests {
     fn the_site_is_the_one_asked_for_or_the_only_one() {
         assert_eq!(one_site(["b", "a"], Some("a")).unwrap(), "a");
         assert_eq!(one_site(["a", "a"], None).unwrap(), "a");
-        for (sites, asked) in [(&["a", "b"][..], None), (&["a", "b"], Some("c"))] {
-            let fault = one_site(sites.iter().copied(), asked).unwrap_err();
-            assert!(fault.to_string().contains("--site: a, b"), "{fault}");
+        for (asked, said) in [
+            (None, "--site: a, b"),
+            (Some("c"), "no site \"c\" in this map; its sites: a, b"),
+        ] {
+            let fault = one_site(["a", "b"], asked).unwrap_err();
+            assert!(fault.to_string().contains(said), "{fault}");
         }
         assert!(one_site([], None).is_err());
     }

@@ -40,8 +40,7 @@ use datafusion::catalog::{CatalogProvider, MemorySchemaProvider, TableProvider};
 use datafusion::common::{DFSchema, TableReference};
 use datafusion::datasource::MemTable;
 use datafusion::error::Result as DataFusionResult;
-use datafusion::execution::disk_manager::{DiskManagerBuilder, DiskManagerMode};
-use datafusion::execution::runtime_env::{RuntimeEnv, RuntimeEnvBuilder};
+use datafusion::execution::runtime_env::RuntimeEnv;
 use datafusion::execution::{SessionState, SessionStateBuilder};
 use datafusion::logical_expr::{DescribeTable, LogicalPlan};
 use datafusion::prelude::{DataFrame, SessionConfig, SessionContext};
@@ -73,13 +72,12 @@ use crate::sql::misread::check_misread;
 use crate::sql::named::named_apart;
 use crate::sql::overflow::check_overflow;
 use crate::sql::paused::Pauses;
-use crate::sql::pool::SharedPool;
 use crate::sql::statement_text::StatementText;
 use crate::sql::term::go_on;
 use crate::sql::widths::check_widths;
-use crate::temporary::Spills;
 
 pub use missing::{NO_TABLE, Unlisted, explained, no_table, table_of};
+pub use pool::runtime;
 pub use size::{QUERY_WORDS, STACK_BYTES, check_size};
 pub use term::Term;
 pub use volatile::{OpenValues, only_reads, volatile_functions};
@@ -164,20 +162,6 @@ pub fn context_on(
 /// As [`context`].
 pub fn context_with(limits: Limits, batch_rows: usize) -> Result<SessionContext, Fault> {
     context_of(CATALOG, runtime(limits)?, limits, batch_rows)
-}
-
-/// The memory that queries share.
-///
-/// # Errors
-/// A resource fault when the runtime cannot be set up.
-pub fn runtime(limits: Limits) -> Result<Arc<RuntimeEnv>, Fault> {
-    let pool = SharedPool::new(limits.memory_bytes, limits.partitions);
-    let spills = DiskManagerMode::Custom(Arc::new(Spills::default()));
-    RuntimeEnvBuilder::new()
-        .with_memory_pool(Arc::new(pool))
-        .with_disk_manager_builder(DiskManagerBuilder::default().with_mode(spills))
-        .build_arc()
-        .or_fault()
 }
 
 /// A context with the settings and limits of another, and without its tables.

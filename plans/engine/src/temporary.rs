@@ -14,6 +14,8 @@ use std::time::Duration;
 
 use datafusion::error::Result as DataFusionResult;
 use datafusion::execution::disk_manager::{DiskManagerBuilder, DiskManagerMode};
+#[cfg(test)]
+use datafusion::execution::runtime_env::{RuntimeEnv, RuntimeEnvBuilder};
 use datafusion::execution::{DiskManager, SpillFile, TempFileFactory};
 use evermap_schemas::Fault;
 use tempfile::TempDir;
@@ -147,6 +149,15 @@ impl TempFileFactory for Spills {
         };
         disk.create_tmp_file(description)
     }
+}
+
+/// The same limits, with a disk manager that says how much is in its files.
+#[cfg(test)]
+#[allow(clippy::unwrap_used)]
+pub fn counted(runtime: &RuntimeEnv) -> Arc<RuntimeEnv> {
+    let files = DiskManagerBuilder::default();
+    let counted = RuntimeEnvBuilder::from_runtime_env(runtime).with_disk_manager_builder(files);
+    counted.build_arc().unwrap()
 }
 
 #[cfg(test)]

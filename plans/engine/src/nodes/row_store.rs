@@ -211,6 +211,7 @@ mod tests {
 
     use super::*;
     use crate::sql::{Limits, runtime};
+    use crate::temporary::counted;
 
     /// An image with as many features as its number says, and some.
     fn image(number: i64) -> Features {
@@ -251,7 +252,7 @@ mod tests {
     fn rows_are_the_same_in_memory_and_in_a_file_that_goes_with_them() {
         // Of the least, not even a batch fits beside what is left to others.
         for (memory_bytes, in_file) in [(1 << 30, false), (150_000, true), (40_000, true)] {
-            let runtime = runtime(limits(memory_bytes)).unwrap();
+            let runtime = counted(&runtime(limits(memory_bytes)).unwrap());
             let memory = MemoryConsumer::new("a test").register(&runtime.memory_pool);
             let mut writer = RowWriter::new(&memory, &runtime);
             for batch in images() {

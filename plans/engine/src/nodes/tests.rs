@@ -25,6 +25,7 @@ use crate::nodes::node::{Deal, Duty, Need, ordering};
 use crate::nodes::operator::{Operator, OperatorExec};
 use crate::nodes::pixels::{Fetching, PixelsExec};
 use crate::sql::{Limits, context};
+use crate::temporary::counted;
 
 record! {
     /// How many keyframes there are beside a pose.
@@ -166,6 +167,8 @@ fn fetching(context: &SessionContext) -> Arc<dyn ExecutionPlan> {
 async fn rows_of_a_store_are_fetched_wherever_there_is_room_for_them() {
     for (memory_bytes, in_file) in [(1 << 30, false), (1 << 20, true)] {
         let context = limited(memory_bytes);
+        let runtime = counted(&context.runtime_env());
+        let context = SessionContext::new_with_config_rt(context.copied_config(), runtime);
         let plan = fetching(&context);
         let batches = collect(Arc::clone(&plan), context.task_ctx())
             .await

@@ -1,14 +1,20 @@
 //! The memory that the operators of a query share.
 
 use std::fmt::{Display, Formatter};
-use std::sync::{Mutex, MutexGuard};
+use std::sync::{Arc, Mutex, MutexGuard};
 
 use datafusion::common::{Result, resources_datafusion_err};
+use datafusion::execution::disk_manager::{DiskManagerBuilder, DiskManagerMode};
 use datafusion::execution::memory_pool::{
     MemoryConsumer, MemoryLimit, MemoryPool, MemoryReservation, human_readable_size,
 };
+use datafusion::execution::runtime_env::{RuntimeEnv, RuntimeEnvBuilder};
+use evermap_schemas::Fault;
 
+use crate::error::OrFault;
 use crate::locked::locked;
+use crate::sql::Limits;
+use crate::temporary::Spills;
 
 /// Memory for operators that spill, in equal shares, and for those that do not, first come, first served; as
 /// DataFusion's `FairSpillPool`, but for a part that only small reservations may take. A sort needs a little memory that
@@ -126,6 +132,20 @@ impl Display for SharedPool {
     fn fmt(&self, f: &mut Formatter<'_>) -> std::fmt::Result {
         write!(f, "shared({})", human_readable_size(self.bytes))
     }
+}
+
+/// The memory that queries share.
+///
+/// # Errors
+/// A resource fault when the runtime cannot be set up.
+pub fn runtime(limits: Limits) -> std::result::Result<Arc<RuntimeEnv>, Fault> {
+    let pool = SharedPool::new(limits.memory_bytes, limits.partitions);
+    let spills = DiskManagerMode::Custom(Arc::new(Spills::default()));
+    RuntimeEnvBuilder::new()
+        .with_memory_pool(Arc::new(pool))
+        .with_disk_manager_builder(DiskManagerBuilder::default().with_mode(spills))
+        .build_arc()
+        .or_fault()
 }
 
 #[cfg(test)]
