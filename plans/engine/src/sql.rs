@@ -67,7 +67,7 @@ use crate::sql::lengths::measure_intervals;
 use crate::sql::literals::check_literals;
 use crate::sql::members::{Members, check_members, mask_members};
 use crate::sql::membership::three_valued;
-use crate::sql::merge_joins::MergeJoins;
+use crate::sql::merge_joins::{MergeKeys, OuterConditions};
 use crate::sql::misread::check_misread;
 use crate::sql::named::named_apart;
 use crate::sql::overflow::check_overflow;
@@ -220,7 +220,8 @@ fn context_of(
         ])
         .with_default_features()
         .with_query_planner(Arc::new(as_of::Planner))
-        .with_physical_optimizer_rule(Arc::new(MergeJoins))
+        .with_optimizer_rule(Arc::new(MergeKeys))
+        .with_physical_optimizer_rule(Arc::new(OuterConditions))
         .with_physical_optimizer_rule(Arc::new(LightBatches))
         .with_physical_optimizer_rule(Arc::new(Pauses));
     let context = SessionContext::new_with_state(asking(state).build());

@@ -24,7 +24,7 @@ use crate::map::version::{MappedSession, StoredLayer, Version};
 use crate::map::{lease, local};
 
 /// Whether a run has left something in a store.
-async fn begun(store: &Store) -> Result<bool, Fault> {
+pub(super) async fn begun(store: &Store) -> Result<bool, Fault> {
     for folder in [fingerprint::FOLDER, RECEIPTS, ARTIFACTS, lease::FOLDER] {
         if !store.objects_in(folder).await?.is_empty() {
             return Ok(true);

@@ -7,7 +7,7 @@ use evermap_schemas::{Fault, Kind, record};
 use futures::TryStreamExt;
 
 use crate::map::damage::{Damage, content_damage};
-use crate::map::opened::no_version;
+use crate::map::opened::{begun, no_version};
 use crate::map::parts::PARTS;
 use crate::map::receipt::{Artifact, RECEIPTS, Receipt};
 use crate::map::records::{RecordDamage, record_damage};
@@ -136,14 +136,14 @@ impl Needed {
 /// forgets a version meanwhile, it begins anew: what only that needed is not lost.
 ///
 /// # Errors
-/// A user fault for a version that there is not, or where there is none, a resource fault when the store does not answer.
+/// A user fault for a version that there is not, or where there is no map, a resource fault when the store does not answer.
 pub async fn verify(store: &Store, version: Option<u64>) -> Result<Verified, Fault> {
     loop {
         let numbers = match version {
             Some(number) => vec![number],
             None => Version::numbers(store).await?,
         };
-        if numbers.is_empty() {
+        if numbers.is_empty() && !begun(store).await? {
             return Err(no_version(store).await?);
         }
         let verified = verify_versions(store, &numbers, version.is_none()).await?;
