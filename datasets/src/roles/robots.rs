@@ -185,7 +185,7 @@ impl SessionRobot {
                 found.extend(rows::<Motion>(&batch).unwrap_or_default());
             }
             let frame = self.vehicle.frame();
-            if found.iter().any(|motion| motion.child == frame) {
+            if !frame.is_empty() && found.iter().any(|motion| motion.child == frame) {
                 found.retain(|motion| motion.child == frame);
             }
             if let Some(Motion { parent, child }) = most(&found) {
