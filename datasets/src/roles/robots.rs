@@ -173,7 +173,7 @@ impl SessionRobot {
         }
     }
 
-    /// The odometry of the vehicle that is named, where the first messages have it, else that which most of them have. What cannot be read is told where rows are read.
+    /// The odometry that most of the first messages have. What cannot be read is told where rows are read.
     async fn usual(&self, messages: Messages) -> Meant {
         for (part, topic) in &self.odometry {
             let batches = batches::<Motion>(messages, part, topic, SessionFacts::default(), FIRST);
@@ -183,10 +183,6 @@ impl SessionRobot {
                 && let Ok(Some(batch)) = batches.try_next().await
             {
                 found.extend(rows::<Motion>(&batch).unwrap_or_default());
-            }
-            let frame = self.vehicle.frame();
-            if !frame.is_empty() && found.iter().any(|motion| motion.child == frame) {
-                found.retain(|motion| motion.child == frame);
             }
             if let Some(Motion { parent, child }) = most(&found) {
                 let odometry = OdometryOf::Frame { parent, child };

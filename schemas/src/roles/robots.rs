@@ -108,7 +108,7 @@ impl OdometryOf {
         };
         (!self.is(&found.parent, &found.child)).then(|| {
             let Motion { parent: from, child: to } = found;
-            format!("expected the pose of `{child}` in `{parent}`, as most messages have it, found that of `{to}` in `{from}`")
+            format!("expected the pose of {child:?} in {parent:?}, as most messages have it, found that of {to:?} in {from:?}")
         })
     }
 
