@@ -40,7 +40,7 @@ struct SessionRobot {
     places: Vec<(Arc<LogPart>, String)>,
     /// Those that have odometry of one vehicle, where somebody asked for them.
     odometry: Vec<(Arc<LogPart>, String)>,
-    /// The odometry that is meant, once somebody robot.
+    /// The odometry that is meant, once somebody asked.
     meant: OnceCell<Meant>,
 }
 
