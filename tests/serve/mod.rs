@@ -48,6 +48,17 @@ fn programs_read_what_evermap_sql_prints() {
     ended("serve/clients.py", &arguments);
 }
 
+#[test]
+fn answers_in_arrow_and_parquet_have_the_units_and_frames_that_evermap_sql_writes() {
+    let folder = tempfile::tempdir().unwrap();
+    let map = map(folder.path());
+    let query = "SELECT stamp AS at, map_from_vehicle, map_from_vehicle['x'] AS east, map_from_vehicle['x'] * 2 AS twice FROM poses";
+    let file = folder.path().join("rows.parquet");
+    evermap(&["sql", "--map", text(&map), query, "--out", text(&file)]).expect(0);
+    let server = Server::start(&map, &[]);
+    ended("serve/described.py", &[&server.http, query, text(&file)]);
+}
+
 /// Geometries come as from PostGIS, to programs that know it.
 #[test]
 fn programs_read_geometries_as_from_postgis() {

@@ -8,6 +8,7 @@ use arrow::array::RecordBatch;
 use arrow::datatypes::SchemaRef;
 use datafusion::execution::memory_pool::{MemoryConsumer, MemoryPool, MemoryReservation};
 use evermap_engine::error::{OrFault, fault_of};
+use evermap_engine::map::columns::of_answer;
 use evermap_engine::nodes::weight::bytes;
 use evermap_engine::sql::{Term, read_only};
 use evermap_schemas::Fault;
@@ -273,7 +274,7 @@ type HandedItems<T, E> = mpsc::Receiver<Handed<T, E>>;
 
 /// The rows of a query on a version.
 pub struct Answer {
-    /// Their columns.
+    /// Their columns, with units and frames: batches may say other things of theirs.
     pub schema: SchemaRef,
     /// They, within bounds.
     pub rows: BoxStream<'static, Result<RecordBatch, Fault>>,
@@ -290,10 +291,12 @@ pub async fn answer(opened: &Opened, query: &str, bounds: &Bounds) -> Result<Ans
     let (context, query) = (opened.context.clone(), query.to_owned());
     let planned = aside(async move {
         let frame = read_only(&context, &query).await?;
-        frame.execute_stream().await.or_fault()
+        let plan = frame.logical_plan().clone();
+        let stream = frame.execute_stream().await.or_fault()?;
+        let schema = of_answer(&context, &plan, &stream.schema()).await;
+        Ok::<_, Fault>((schema, stream))
     });
-    let stream = turn.within(planned).await???;
-    let schema = stream.schema();
+    let (schema, stream) = turn.within(planned).await???;
     let rows = stream.map(|batch| batch.map_err(|error| fault_of(&error)));
     Ok(Answer {
         schema,

@@ -27,7 +27,9 @@ use arrow_flight::{
 };
 use async_trait::async_trait;
 use datafusion::catalog::SchemaProvider;
+use datafusion::common::TableReference;
 use evermap_engine::error::OrFault;
+use evermap_engine::map::columns::{of_answer, of_table};
 use evermap_engine::sql::{TABLES, catalog, read_only};
 use evermap_schemas::{Fault, Kind};
 use futures::future::BoxFuture;
@@ -108,10 +110,12 @@ impl Flight {
             let (context, text) = (opened.context.clone(), query.clone());
             let planned = turn.within(aside(async move {
                 let frame = read_only(&context, &text).await?;
-                frame.create_physical_plan().await.or_fault()
+                let plan = frame.logical_plan().clone();
+                let coming = frame.create_physical_plan().await.or_fault()?.schema();
+                Ok(of_answer(&context, &plan, &coming).await)
             }));
             let planned = planned.await.flatten().flatten();
-            let schema = sent(planned.map_err(status)?.schema());
+            let schema = sent(planned.map_err(status)?);
             let version = opened.version();
             Ok((Planned { query, version }, schema))
         };
@@ -337,11 +341,11 @@ impl FlightSqlService for Flight {
         let mut names = layers.table_names();
         names.sort();
         for name in names {
-            let table = match with_columns {
-                true => layers.table(&name).await.or_fault().map_err(status)?,
-                false => None,
+            let table = TableReference::bare(name.as_str());
+            let columns = match with_columns {
+                true => of_table(&opened.context, table).await.map_err(status)?,
+                false => Arc::new(Schema::empty()),
             };
-            let columns = table.map_or_else(|| Arc::new(Schema::empty()), |table| table.schema());
             let added = tables.append(&map.name, TABLES, &name, TABLE, &columns);
             added.map_err(Status::from)?;
         }
