@@ -23,6 +23,7 @@ mod missing;
 mod named;
 mod overflow;
 mod paused;
+mod peers;
 mod pool;
 mod size;
 mod statement_text;
@@ -72,6 +73,7 @@ use crate::sql::misread::check_misread;
 use crate::sql::named::named_apart;
 use crate::sql::overflow::check_overflow;
 use crate::sql::paused::Pauses;
+use crate::sql::peers::range_by_peers;
 use crate::sql::statement_text::StatementText;
 use crate::sql::term::go_on;
 use crate::sql::widths::check_widths;
@@ -239,6 +241,7 @@ fn context_of(
     sound_floats(&context).or_fault()?;
     check_overflow(&context).or_fault()?;
     measure_intervals(&context).or_fault()?;
+    range_by_peers(&context).or_fault()?;
     compare_values(&context);
     check_arguments(&context).or_fault()?;
     Ok(context)
