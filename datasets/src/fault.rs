@@ -1,5 +1,6 @@
 //! DataFusion's errors as faults with a kind, and faults on their way through DataFusion.
 
+mod alike;
 mod objects;
 mod regular;
 mod unplanned;
@@ -8,8 +9,9 @@ use arrow::datatypes::DataType;
 use arrow::error::ArrowError;
 use datafusion::error::DataFusionError;
 use datafusion::sql::sqlparser::parser::ParserError;
-use evermap_schemas::{Cell, Fault, Kind, Pose, type_name};
+use evermap_schemas::{Fault, Kind, type_name};
 
+use crate::fault::alike::{INSTANT, NO_SIGNATURE, not_alike, types};
 use crate::fault::regular::no_expression;
 use crate::fault::unplanned::{unfound, unplanned};
 
@@ -73,6 +75,9 @@ pub fn fault_of(error: &DataFusionError) -> Fault {
         _ => (Kind::Data, root.strip_backtrace()),
     };
     let message = message.lines().next().unwrap_or_default();
+    if let Some((said, next)) = not_alike(message) {
+        return at(Fault::user(said).next(next), place);
+    }
     if let Some((said, next)) = unplanned(message) {
         return at(Fault::user(said).next(next), place);
     }
@@ -83,7 +88,6 @@ pub fn fault_of(error: &DataFusionError) -> Fault {
     let fault = Fault::new(kind, message);
     let fault = match () {
         () if is_other_as_of(message) => fault.next(AS_OF),
-        () if message.starts_with(NOT_ALIKE) && message.contains("time") => fault.next(INSTANT),
         () if message.starts_with(NO_INSTANT) => fault.next(INSTANT),
         () if message.ends_with(TOO_DEEP) => fault.next(NESTED),
         () => fault,
@@ -142,90 +146,6 @@ const TOO_DEEP: &str = "the query is nested too deep";
 /// What may be written instead.
 const NESTED: &str = "put each IS DISTINCT FROM into parentheses, (a IS DISTINCT FROM b) OR …, and name queries within others: WITH a AS (SELECT …)";
 
-/// How DataFusion says that a function does not take such arguments.
-const NO_SIGNATURE: &str = " failed to match any signature";
-
-/// How DataFusion says that arguments do not become what a function takes.
-const NO_COERCION: &str = "Failed to coerce arguments";
-
-/// The types that a function takes, and those that it was given.
-fn types(message: &str) -> Option<String> {
-    let (_, behind) = message.split_once("and argument types '")?;
-    let (found, behind) = behind.split_once("'. You might need")?;
-    let (_, candidates) = behind.split_once("Candidate functions:\n")?;
-    let lines = candidates.lines();
-    let candidates = lines.map_while(|line| line.strip_prefix('\t'));
-    let mut expected = Vec::new();
-    for (_, arguments) in candidates.filter_map(call) {
-        if !expected.contains(&arguments) {
-            expected.push(arguments);
-        }
-    }
-    let (name, found) = call(found)?;
-    let expected = expected.join(" or ");
-    (!expected.is_empty()).then(|| format!("{name} expects {expected}, found {found}"))
-}
-
-/// The name of a function that is called with these types, and they as people call them: `avg` and `(f64)`.
-fn call(text: &str) -> Option<(&str, String)> {
-    let (name, behind) = text.split_once('(')?;
-    let types = apart(behind.strip_suffix(')')?, ',');
-    let types: Vec<String> = types.into_iter().map(|given| named(given.trim())).collect();
-    Some((name, format!("({})", types.join(", "))))
-}
-
-/// A text cut where a character stands outside of parentheses.
-fn apart(text: &str, at: char) -> Vec<&str> {
-    let (mut depth, mut begin, mut parts) = (0_i32, 0, Vec::new());
-    for (place, c) in text.char_indices() {
-        match c {
-            '(' => depth += 1,
-            ')' => depth -= 1,
-            c if c == at && depth == 0 => {
-                parts.push(&text[begin..place]);
-                begin = place + c.len_utf8();
-            }
-            _ => {}
-        }
-    }
-    parts.push(&text[begin..]);
-    parts
-}
-
-/// What people call a type that DataFusion names.
-fn named(found: &str) -> String {
-    let Ok(found) = found.parse::<DataType>() else {
-        return found.to_lowercase();
-    };
-    let name = type_name(&found);
-    match name == type_name(&<Pose as Cell>::data_type()) {
-        true => "a pose".to_owned(),
-        false => name,
-    }
-}
-
-/// How it is said here that two values do not go together.
-const NOT_ALIKE: &str = "expected two values that go together, found ";
-
-/// How an instant is written where one is compared.
-const INSTANT: &str = "write an instant as a text: stamp > '2024-05-01T10:00:00Z'";
-
-/// What two values are that are compared, or computed with, and do not go together: `time > i64`.
-fn not_alike(message: &str) -> Option<String> {
-    let (_, pair) = message
-        .split_once("Cannot infer common argument type for comparison operation ")
-        .or_else(|| message.split_once("Cannot coerce arithmetic expression "))?;
-    let pair = pair
-        .split_once(" to valid types")
-        .map_or(pair, |(pair, _)| pair);
-    let words = apart(pair, ' ');
-    let ([first, operator @ .., last], true) = (words.as_slice(), words.len() > 2) else {
-        return None;
-    };
-    let (first, operator, last) = (named(first), operator.join(" "), named(last));
-    Some(format!("{NOT_ALIKE}{first} {operator} {last}"))
-}
-
 /// How it is said here that a text is no instant.
 const NO_INSTANT: &str = "expected a time, found '";
 
@@ -249,13 +169,8 @@ fn not_cast(message: &str) -> Option<String> {
 
 /// What DataFusion says, without what it says of its own ways.
 fn plainly(message: &str) -> String {
-    if (message.contains(NO_SIGNATURE) || message.contains(NO_COERCION))
-        && let Some(types) = types(message)
-    {
+    if let Some(types) = types(message) {
         return types;
-    }
-    if let Some(pair) = not_alike(message) {
-        return pair;
     }
     let behind = |text: &'static str| message.split_once(text).map(|(_, behind)| behind);
     let own = behind("user-defined coercion failed with: ").unwrap_or(message);
@@ -338,7 +253,7 @@ mod tests {
             ),
             (
                 plan("Cannot coerce arithmetic expression Struct(\"x\": non-null Float64, \"y\": Utf8) + Int64 to valid types"),
-                "user: expected two values that go together, found struct of x, y + i64",
+                "user: expected two values that go together, found struct of x, y + i64; take a member of the struct: column['x']",
             ),
             (
                 DataFusionError::ArrowError(
