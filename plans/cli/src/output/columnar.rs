@@ -2,13 +2,13 @@
 
 use std::sync::Arc;
 
-use arrow::array::{ArrayRef, RecordBatch, RecordBatchOptions};
+use arrow::array::{ArrayRef, RecordBatch, RecordBatchOptions, new_empty_array};
 use arrow::compute::cast;
 use arrow::datatypes::{DataType, FieldRef, Fields, Schema, SchemaRef};
 use arrow::error::ArrowError;
 use arrow::ipc::writer::FileWriter;
-use evermap_schemas::Fault;
 use evermap_schemas::geoparquet::{self, GeoColumn};
+use evermap_schemas::{Fault, type_name};
 use parquet::arrow::ArrowWriter;
 use parquet::arrow::arrow_writer::{
     ArrowColumnWriter, ArrowLeafColumn, ArrowRowGroupWriterFactory, compute_leaves,
@@ -63,6 +63,7 @@ impl<'s> Parquet<'s> {
             .set_dictionary_enabled(false)
             .set_statistics_enabled(EnabledStatistics::Chunk)
             .build();
+        writable(schema)?;
         let (file, factory) = ArrowWriter::try_new(sink, schema.clone(), Some(properties))
             .and_then(ArrowWriter::into_serialized_writer)
             .map_err(failure)?;
@@ -137,6 +138,30 @@ impl RowWriter for Parquet<'_> {
         }
         self.file.close().map(drop).map_err(failure)
     }
+}
+
+/// That Parquet has a type for each column. Of some it tells when values come, and the file has begun by then.
+fn writable(schema: &SchemaRef) -> Result<(), Failure> {
+    let begun = ArrowWriter::try_new(std::io::sink(), Arc::clone(schema), None);
+    let (_, factory) = begun
+        .and_then(ArrowWriter::into_serialized_writer)
+        .map_err(failure)?;
+    let columns = factory.create_column_writers(0).map_err(failure)?;
+    let mut columns = columns.into_iter();
+    for field in schema.fields() {
+        let none = new_empty_array(field.data_type());
+        let leaves = compute_leaves(field, &none);
+        let written = leaves.and_then(|leaves| {
+            let mut leaves = leaves.iter().zip(columns.by_ref());
+            leaves.try_for_each(|(leaf, mut column)| column.write(leaf))
+        });
+        written.map_err(|_| {
+            let (name, kind) = (field.name(), type_name(field.data_type()));
+            Fault::user(format!("Parquet has no type for column {name}, {kind}"))
+                .next("cast it, CAST(x AS TEXT), or write --format arrow")
+        })?;
+    }
+    Ok(())
 }
 
 fn crs(schema: &SchemaRef) -> Value {

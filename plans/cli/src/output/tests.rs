@@ -2,9 +2,11 @@
 use std::sync::Arc;
 
 use super::*;
-use arrow::array::{Array, ArrayRef, AsArray, DictionaryArray, StringArray, StructArray};
+use arrow::array::{
+    Array, ArrayRef, AsArray, DictionaryArray, IntervalMonthDayNanoArray, StringArray, StructArray,
+};
 use arrow::compute::concat_batches;
-use arrow::datatypes::{Field, Int32Type};
+use arrow::datatypes::{Field, Int32Type, IntervalMonthDayNano};
 use arrow::ipc::reader::FileReader;
 use evermap_schemas::{Bytes, Kind, Pose, Stamp, record};
 use parquet::arrow::arrow_reader::ParquetRecordBatchReaderBuilder;
@@ -160,6 +162,27 @@ async fn parquet_reads_back_the_same() {
         format!("{:?}", rows().columns())
     );
     assert_eq!(found.schema().field(0).name(), "name");
+}
+
+#[tokio::test]
+async fn columns_that_parquet_has_no_type_for_are_refused_before_the_file_begins() {
+    let interval = IntervalMonthDayNanoArray::from(vec![IntervalMonthDayNano::new(1, 2, 3)]);
+    let member = Field::new("of", interval.data_type().clone(), true);
+    let interval: ArrayRef = Arc::new(interval);
+    let within = StructArray::from(vec![(Arc::new(member), Arc::clone(&interval))]);
+    for column in [interval, Arc::new(within)] {
+        let batch = RecordBatch::try_from_iter([("lane", Arc::clone(&column)), ("x", column)]);
+        let batch = batch.unwrap();
+        let mut sink = Sink::spooled(usize::MAX);
+        let rows = futures::stream::iter([Ok(batch.clone())]);
+        let refused = write(Format::Parquet, batch.schema(), rows, &mut sink).await;
+        let Err(Failure::Fault(fault)) = refused else {
+            unreachable!("{refused:?}")
+        };
+        let said = "Parquet has no type for column lane, ";
+        assert!(fault.message.starts_with(said), "{fault}");
+        assert_eq!(sink.bytes(), b"");
+    }
 }
 
 #[tokio::test]
