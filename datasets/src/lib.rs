@@ -30,7 +30,9 @@ mod yaml;
 
 pub use dataset::Dataset;
 pub use evermap_messages::ros2;
-pub use evermap_recording::{LogWriter, Times, annotations, recorder_of};
+pub use evermap_recording::{
+    Goes, LogWriter, Times, annotations, parent, recorder_of, unfinished_file,
+};
 pub use images::ImageReader;
 pub use losses::{Loss, LossLedger, Reason};
 pub use manifest::{Manifest, Roles};

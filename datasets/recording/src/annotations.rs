@@ -14,7 +14,7 @@ use mcap::records::MessageHeader;
 use mcap::{WriteOptions, Writer};
 
 use crate::failed;
-use crate::partial::folder;
+use crate::unfinished::parent;
 
 pub use crate::RecordingError;
 pub use evermap_messages::annotation::{Anchor, Annotation, DrawnPixels, Geometry, OnImage};
@@ -159,7 +159,7 @@ pub fn parts(target: &Path) -> Vec<PathBuf> {
         };
         (path.extension() == target.extension() && part(target, number) == name).then_some(number)
     };
-    let entries = std::fs::read_dir(folder(target)).into_iter().flatten();
+    let entries = std::fs::read_dir(parent(target)).into_iter().flatten();
     let paths = entries.filter_map(|entry| Some(entry.ok()?.path()));
     let mut found: Vec<(u32, PathBuf)> = paths
         .filter_map(|path| Some((number(&path)?, path)))
@@ -192,7 +192,7 @@ fn create(target: &Path, taken: impl Fn(&str) -> bool) -> Result<(File, PathBuf)
 
 /// The file's name is on the disk too, where the system can say so.
 fn sync_folder(path: &Path) -> Result<(), RecordingError> {
-    let folder = folder(path);
+    let folder = parent(path);
     if cfg!(unix) {
         let synced = File::open(folder).and_then(|folder| folder.sync_all());
         synced.map_err(|error| failed(folder, error.into()))?;

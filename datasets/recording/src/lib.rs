@@ -3,6 +3,7 @@
 pub mod annotations;
 mod partial;
 mod recorder;
+mod unfinished;
 
 use evermap_messages::ros2::Message;
 use mcap::records::{MessageHeader, Metadata};
@@ -15,6 +16,7 @@ use std::path::{Path, PathBuf};
 use partial::Partial;
 
 pub use recorder::recorder_of;
+pub use unfinished::{Goes, parent, unfinished_file, unfinished_folder};
 
 /// How recorders of ROS 2 say that the topic's only message is for all who come later too.
 const LATCHED: (&str, &str) = (

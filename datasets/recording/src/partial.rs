@@ -1,49 +1,50 @@
 //! A log that has no name yet, and where it goes when it is complete.
 
-use std::fs::{File, OpenOptions};
+use std::fs::File;
 use std::io::{Error, Seek};
 use std::path::{Path, PathBuf};
 
 use tempfile::TempPath;
 
+use crate::unfinished::{Goes, parent, unfinished_file};
 use crate::{RecordingError, failed};
 
 /// A file of a name that nobody else has. It is gone with what writes it, unless it was finished by then.
 pub struct Partial {
     file: TempPath,
     goes: Goes,
+    /// What was asked for.
+    target: PathBuf,
     /// What faults of writing name.
     place: PathBuf,
 }
 
-/// Where a log goes.
-enum Goes {
-    /// To a file of this name, in place of what is there.
-    Named(PathBuf),
-    /// Into something that is no file, at this path: a pipe, a device. Nothing is written there that is not complete.
-    Into(File, PathBuf),
-}
-
 impl Partial {
     /// A new file for what goes to `target`, in its folder; for what goes into a pipe or a device, in that of temporary
-    /// files.
+    /// files: nothing is written there that is not complete.
     ///
     /// # Errors
     /// [`RecordingError::Io`], and [`RecordingError::Folder`] for a folder.
     pub fn of(target: &Path) -> Result<(File, Self), RecordingError> {
-        let goes = Goes::to(target)?;
-        let (folder, place) = match goes {
-            Goes::Named(_) => (folder(target).to_owned(), target.to_owned()),
-            Goes::Into(..) => (std::env::temp_dir(), std::env::temp_dir()),
+        let path = target.to_owned();
+        if target.is_dir() {
+            return Err(RecordingError::Folder { path });
+        }
+        let goes = Goes::to(target).map_err(|error| failed(target, error.into()))?;
+        let (folder, place) = match &goes {
+            Goes::Named(place) => (parent(place).to_owned(), path.clone()),
+            Goes::Into(_) => (std::env::temp_dir(), std::env::temp_dir()),
         };
-        let mut builder = tempfile::Builder::new();
-        builder.prefix(".evermap-");
-        #[cfg(unix)]
-        builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
-        let made = builder.tempfile_in(folder);
+        let made = unfinished_file(&folder);
         let made = made.map_err(|error| failed(&place, error.into()))?;
         let (writing, file) = made.into_parts();
-        Ok((writing, Self { file, goes, place }))
+        let partial = Self {
+            file,
+            goes,
+            target: path,
+            place,
+        };
+        Ok((writing, partial))
     }
 
     /// What faults of writing name.
@@ -56,38 +57,12 @@ impl Partial {
     /// # Errors
     /// [`RecordingError::Io`].
     pub fn finish(self, mut file: File) -> Result<(), RecordingError> {
-        let (path, gone) = match self.goes {
-            Goes::Named(path) => {
-                let named = self.file.persist(&path);
-                (path, named.map_err(|error| error.error))
-            }
-            Goes::Into(into, path) => (path, copy(&mut file, into)),
+        let gone = match self.goes {
+            Goes::Named(place) => self.file.persist(place).map_err(|error| error.error),
+            Goes::Into(into) => copy(&mut file, into),
         };
-        gone.map_err(|error| failed(&path, error.into()))
+        gone.map_err(|error| failed(&self.target, error.into()))
     }
-}
-
-impl Goes {
-    /// By what is at `target`, behind all links.
-    fn to(target: &Path) -> Result<Self, RecordingError> {
-        let path = target.to_owned();
-        match target.metadata() {
-            Ok(found) if found.is_dir() => Err(RecordingError::Folder { path }),
-            Ok(found) if !found.is_file() => {
-                let opened = OpenOptions::new().write(true).open(target);
-                let opened = opened.map_err(|error| failed(target, error.into()))?;
-                Ok(Self::Into(opened, path))
-            }
-            _ => Ok(Self::Named(path)),
-        }
-    }
-}
-
-/// The folder that a file is in.
-pub fn folder(path: &Path) -> &Path {
-    let parent = path.parent();
-    let parent = parent.filter(|parent| !parent.as_os_str().is_empty());
-    parent.unwrap_or(Path::new("."))
 }
 
 /// Copies a file from its beginning on.
@@ -198,6 +173,12 @@ mod tests {
             }
         }
         assert!(pipe.metadata().unwrap().file_type().is_fifo());
+        // And so of a link to a log, which stays one.
+        let link = folder.path().join("link to a file");
+        std::os::unix::fs::symlink(&file, &link).unwrap();
+        begun(&link, 3).finish().unwrap();
+        assert!(link.is_symlink() && std::fs::read(&file).unwrap() != expected);
+        std::fs::remove_file(link).unwrap();
         // Of a link to one, too, and of a device.
         let link = folder.path().join("link");
         std::os::unix::fs::symlink("/dev/null", &link).unwrap();

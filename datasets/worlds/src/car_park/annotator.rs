@@ -10,12 +10,12 @@ use super::layout::{AISLES, BAY_DEPTH_M, BAY_WIDTH_M, Layout, NOSE_M, Node, Rect
 use crate::WorldError;
 use crate::plane::{Pose2, between, distance, heading};
 use crate::random::nanoseconds;
-use crate::record::{LIBRARY, SimulatedSession, partial};
+use crate::record::{LIBRARY, SimulatedSession};
 use crate::vehicle::Ground;
 use evermap_algorithms::geometry::pose::Pose;
 use evermap_algorithms::ground::boxes::GroundBox;
-use evermap_recording::LogWriter;
 use evermap_recording::annotations::{Anchor, Annotation, AnnotationLog, Geometry};
+use evermap_recording::{LogWriter, unfinished_folder};
 use std::f64::consts::FRAC_PI_2;
 use std::path::{Path, PathBuf};
 
@@ -42,10 +42,11 @@ const ENDS_M: f64 = 0.5;
 pub(super) fn write(hall: &Hall<'_>, out: &Path) -> Result<PathBuf, WorldError> {
     let target = out.join("annotations.mcap");
     LogWriter::may_replace(&target, LIBRARY)?;
-    let partial = partial(out).map_err(|error| WorldError::io(&target, error))?;
+    let said = said(hall);
+    let partial = unfinished_folder(out).map_err(|error| WorldError::io(&target, error))?;
     let whole = partial.path().join("annotations.mcap");
     let mut log = AnnotationLog::begin(&whole, |_| false, LIBRARY)?;
-    log.say_all(&said(hall))?;
+    log.say_all(&said)?;
     let written = log.finish()?;
     std::fs::rename(&written, &target).map_err(|error| WorldError::io(&target, error))?;
     Ok(target)

@@ -2,6 +2,7 @@
 
 use super::SimulatedSession;
 use crate::WorldError;
+use evermap_recording::unfinished_folder;
 use serde_json::Value;
 use std::fmt::Write as _;
 use std::fs;
@@ -19,7 +20,7 @@ impl Folder {
     /// Starts the folder `name` in `out`; an older one stays until this one is finished.
     pub fn create(out: &Path, name: &str) -> Result<Self, WorldError> {
         let done = out.join(name);
-        let part = partial(out).map_err(|error| WorldError::io(&done, error))?;
+        let part = unfinished_folder(out).map_err(|error| WorldError::io(&done, error))?;
         Ok(Self { part, done })
     }
 
@@ -69,15 +70,6 @@ impl Folder {
         let _ = self.part.keep();
         Ok(self.done)
     }
-}
-
-/// A new folder in another one. It is gone with what fills it.
-pub fn partial(out: &Path) -> std::io::Result<TempDir> {
-    let mut builder = tempfile::Builder::new();
-    builder.prefix(".evermap-");
-    #[cfg(unix)]
-    builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o777));
-    builder.tempdir_in(out)
 }
 
 fn remove(folder: &Path) -> Result<(), WorldError> {

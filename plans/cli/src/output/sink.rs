@@ -3,6 +3,7 @@
 use std::io::{BufWriter, Error, IntoInnerError, IsTerminal, Seek, SeekFrom, Stdout, Write};
 use std::path::{Path, PathBuf};
 
+use evermap_datasets::{Goes, parent, unfinished_file};
 use evermap_schemas::Fault;
 use tempfile::{NamedTempFile, SpooledTempFile};
 
@@ -14,9 +15,9 @@ use crate::output::place::may_write;
 pub enum Sink {
     /// Standard output.
     Stdout(BufWriter<Stdout>),
-    /// A file beside the one that is asked for, renamed when it is complete.
+    /// A file beside the one that is asked for, behind all links, renamed when it is complete.
     Temporary(Box<BufWriter<NamedTempFile>>, PathBuf),
-    /// Something that is no regular file: a pipe, a device.
+    /// Something that is no regular file, or is open already: a pipe, a device, what a shell has redirected.
     Special(BufWriter<std::fs::File>),
     /// Memory as long as it is little, then a file without a name in this folder, which is gone when nobody has it open.
     Spooled(BufWriter<SpooledTempFile>, PathBuf),
@@ -35,20 +36,11 @@ impl Sink {
     pub fn file(path: &Path) -> Result<Self, Fault> {
         let fault =
             |error: Error| Fault::resource(format!("cannot write {}: {error}", path.display()));
-        let special = path
-            .metadata()
-            .is_ok_and(|found| !found.is_file() && !found.is_dir());
-        if special {
-            let file = std::fs::OpenOptions::new()
-                .write(true)
-                .open(path)
-                .map_err(fault)?;
-            return Ok(Self::Special(BufWriter::new(file)));
-        }
-        let folder = match path.parent() {
-            Some(folder) if folder != Path::new("") => folder,
-            _ => Path::new("."),
+        let place = match Goes::to(path).map_err(fault)? {
+            Goes::Into(file) => return Ok(Self::Special(BufWriter::new(file))),
+            Goes::Named(place) => place,
         };
+        let folder = parent(&place);
         if !folder.is_dir() {
             let fault = format!(
                 "cannot write {}: there is no folder {}",
@@ -57,16 +49,11 @@ impl Sink {
             );
             return Err(Fault::user(fault));
         }
+        // A link may be a log's or a map's own, and so may be what it leads to.
         may_write(path)?;
-        let mut builder = tempfile::Builder::new();
-        builder.prefix(".evermap-");
-        #[cfg(unix)]
-        builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
-        let file = builder.tempfile_in(folder).map_err(fault)?;
-        Ok(Self::Temporary(
-            Box::new(BufWriter::new(file)),
-            path.to_owned(),
-        ))
+        may_write(&place)?;
+        let file = unfinished_file(folder).map_err(fault)?;
+        Ok(Self::Temporary(Box::new(BufWriter::new(file)), place))
     }
 
     /// A file where one is named, else standard output.
@@ -210,6 +197,20 @@ mod tests {
         write_file(&path, b"two").unwrap();
         assert_eq!(std::fs::read(&path).unwrap(), b"two");
         assert!(Sink::file(Path::new("/no/such/folder/a")).is_err());
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn a_link_stays_one_and_what_it_leads_to_is_written() {
+        let folder = tempfile::tempdir().unwrap();
+        let within = |name: &str| folder.path().join(name);
+        std::fs::create_dir(within("else")).unwrap();
+        std::os::unix::fs::symlink("else/there", within("link")).unwrap();
+        for bytes in [b"one", b"two"] {
+            write_file(&within("link"), bytes).unwrap();
+            assert!(within("link").is_symlink());
+            assert_eq!(std::fs::read(within("else/there")).unwrap(), bytes);
+        }
     }
 
     #[test]
