@@ -8,14 +8,23 @@ use serde_json::Number;
 
 /// What is read of a value that may be anything: it begins as of `null`, and takes what it knows.
 pub(super) trait Lenient: Default {
+    /// That something is there, whatever it is.
+    fn found(&mut self) {}
+
     /// What is no list and no object.
-    fn scalar(&mut self, _: JsonScalar<'_>) {}
+    fn scalar(&mut self, _: JsonScalar<'_>) {
+        self.found();
+    }
 
     /// That a list begins.
-    fn list(&mut self) {}
+    fn list(&mut self) {
+        self.found();
+    }
 
     /// That an object begins.
-    fn object(&mut self) {}
+    fn object(&mut self) {
+        self.found();
+    }
 
     /// The next element of a list; `None` behind its end.
     ///

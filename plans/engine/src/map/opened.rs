@@ -47,7 +47,7 @@ pub(super) async fn no_version(store: &Store) -> Result<Fault, Fault> {
 }
 
 /// Where a store is, as people write it.
-fn address(store: &Store) -> String {
+pub(super) fn address(store: &Store) -> String {
     match folder(store) {
         Some(folder) => folder.display().to_string(),
         None => store.url().to_string(),

@@ -6,8 +6,9 @@ use std::time::Duration;
 use evermap_schemas::{Fault, Kind, record};
 use futures::TryStreamExt;
 
+use crate::error::no_map;
 use crate::map::damage::{Damage, content_damage};
-use crate::map::opened::{begun, no_version};
+use crate::map::opened::{address, begun};
 use crate::map::parts::PARTS;
 use crate::map::receipt::{Artifact, RECEIPTS, Receipt};
 use crate::map::records::{RecordDamage, record_damage};
@@ -144,7 +145,7 @@ pub async fn verify(store: &Store, version: Option<u64>) -> Result<Verified, Fau
             None => Version::numbers(store).await?,
         };
         if numbers.is_empty() && !begun(store).await? {
-            return Err(no_version(store).await?);
+            return Err(no_map(&address(store)));
         }
         let verified = verify_versions(store, &numbers, version.is_none()).await?;
         let there = Version::numbers(store).await?;

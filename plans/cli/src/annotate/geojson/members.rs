@@ -273,15 +273,7 @@ struct WrittenImage {
 }
 
 impl Lenient for WrittenImage {
-    fn scalar(&mut self, _: JsonScalar<'_>) {
-        self.is_there = true;
-    }
-
-    fn list(&mut self) {
-        self.is_there = true;
-    }
-
-    fn object(&mut self) {
+    fn found(&mut self) {
         self.is_there = true;
     }
 
@@ -325,15 +317,7 @@ pub(super) struct WrittenGeometry {
 }
 
 impl Lenient for WrittenGeometry {
-    fn scalar(&mut self, _: JsonScalar<'_>) {
-        self.is_there = true;
-    }
-
-    fn list(&mut self) {
-        self.is_there = true;
-    }
-
-    fn object(&mut self) {
+    fn found(&mut self) {
         self.is_there = true;
     }
 
