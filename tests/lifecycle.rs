@@ -396,6 +396,45 @@ fn a_prompt_that_is_hung_up_or_terminated_leaves_nothing() {
     Finished::from(prompt.output().unwrap()).expect(0);
 }
 
+/// Whatever it is at: the world is built, its truth is written, images are rendered.
+#[test]
+fn a_simulation_that_is_terminated_leaves_nothing_unfinished() {
+    let folder = tempfile::tempdir().unwrap();
+    for delay_ms in [300, 600, 900, 2000] {
+        let out = folder.path().join(delay_ms.to_string());
+        let mut simulate = command(&["simulate", "car_park", "--out", text(&out)]);
+        let simulate = simulate.stderr(Stdio::piped()).spawn().unwrap();
+        std::thread::sleep(Duration::from_millis(delay_ms));
+        let id = simulate.id().to_string();
+        let asked = Command::new("kill").args(["-TERM", &id]).status();
+        assert!(asked.unwrap().success());
+        let ended = Finished::from(simulate.wait_with_output().unwrap());
+        ended.expect(1);
+        let left = std::fs::read_dir(&out).into_iter().flatten();
+        let left = left.map(|entry| entry.unwrap().file_name());
+        let left: Vec<_> = left.filter(|name| name != "truth").collect();
+        assert!(left.is_empty(), "{delay_ms} ms: {left:?}");
+    }
+}
+
+/// What a shell has redirected is written to, as by other programs, and what is in front of it stays.
+#[test]
+fn what_standard_output_is_is_not_replaced() {
+    let folder = tempfile::tempdir().unwrap();
+    let log = folder.path().join("a.mcap");
+    write_drive(&log, rectangle(20.0, 10.0, 1.0));
+    let file = folder.path().join("rows.csv");
+    let mut shell = Command::new("sh");
+    shell.arg("-c").arg(
+        r#"{ echo first; "$1" sql "$2" "SELECT 7 AS n" --format csv --out /dev/stdout; echo last; } > "$3""#,
+    );
+    shell.arg("sh").arg(program()).args([&log, &file]);
+    Finished::from(shell.output().unwrap()).expect(0);
+    assert!(Path::new("/dev/stdout").is_symlink());
+    let written = std::fs::read_to_string(file).unwrap();
+    assert_eq!(written, "first\nn\n7\nlast\n");
+}
+
 /// Units that are done.
 fn receipts(map: &Path) -> usize {
     std::fs::read_dir(map.join("receipts")).map_or(0, Iterator::count)

@@ -135,7 +135,7 @@ async fn until_interrupted(command: Command, runtime: &Runtime) -> Ending {
             term.end();
             work.abort();
             // Temporary files go when the work is dropped; a kernel that is busy is not waited for.
-            let ended = tokio::time::timeout(Duration::from_secs(1), work).await;
+            let ended = tokio::time::timeout(patience(&command), work).await;
             // A run on a cluster cancels its jobs, and a query of a prompt lets its temporary files go.
             if ended.is_ok() {
                 let _ = tokio::time::timeout(Duration::from_secs(5), all_finished.recv()).await;
@@ -148,6 +148,14 @@ async fn until_interrupted(command: Command, runtime: &Runtime) -> Ending {
         }
         ending = &mut work => ending.unwrap_or_else(|error| Err(panicked(&error))),
     }
+}
+
+/// How long a command that was stopped is waited for: a simulation does not pause, and ends with an image, by itself.
+fn patience(command: &Command) -> Duration {
+    Duration::from_secs(match command {
+        Command::Simulate(_) => 10,
+        _ => 1,
+    })
 }
 
 /// How a command ends that was stopped: servers are done, a run says what becomes of its work.

@@ -20,6 +20,7 @@ const OVERHEAD: f64 = 40.0;
 
 /// Writes the folder `truth` in `out`, replacing an older one, and gives its path.
 pub(super) fn write(hall: &Hall<'_>, out: &Path) -> Result<PathBuf, WorldError> {
+    let (picture, scale) = overhead(&hall.floor)?;
     let folder = Folder::create(out, "truth")?;
     for visit in &hall.visits {
         let session = &visit.session;
@@ -28,7 +29,6 @@ pub(super) fn write(hall: &Hall<'_>, out: &Path) -> Result<PathBuf, WorldError> 
         let walkers = format!("{}_walkers.csv", session.name);
         folder.save(&walkers, walkers_csv(visit).as_bytes())?;
     }
-    let (picture, scale) = overhead(&hall.floor)?;
     folder.save("overhead.png", &picture)?;
     folder.save_json("bays.geojson", &hall.bays())?;
     folder.save_json("crossings.geojson", &hall.crossings())?;

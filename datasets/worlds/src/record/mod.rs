@@ -7,7 +7,7 @@ mod folder;
 mod picture;
 mod session;
 
-pub use folder::{Folder, partial};
+pub use folder::Folder;
 pub use picture::{deep_png, grey_png, jpeg};
 pub use session::{CameraTopics, Sensors, SimulatedSession, shutter};
 
@@ -100,6 +100,10 @@ pub fn simulate(
 ) -> Result<Summary, WorldError> {
     for visit in world.visits() {
         LogWriter::may_replace(&visit.as_ref().log_in(out), LIBRARY)?;
+    }
+    // Building the world took its time, too.
+    if is_stopped() {
+        return Err(WorldError::Stopped);
     }
     std::fs::create_dir_all(out).map_err(|error| WorldError::io(out, error))?;
     let truth = world.write_truth(out)?;

@@ -7,6 +7,7 @@ use crate::{LabelKind, STREET_CLASSES, Street, WorldError, street, street_labels
 use nalgebra::Vector3;
 use std::collections::BTreeMap;
 use std::fs;
+use std::sync::atomic::{AtomicUsize, Ordering};
 
 fn small() -> Street {
     Street {
@@ -292,11 +293,18 @@ fn any_number_of_views_in_any_order() {
 #[test]
 fn a_street_that_is_stopped_leaves_no_half_visit() {
     let folder = tempfile::tempdir().unwrap();
-    let error = street(&small(), folder.path(), &mut |_| {}, &|| true).unwrap_err();
-    assert!(matches!(error, WorldError::Stopped), "{error}");
-    let left = fs::read_dir(folder.path()).unwrap();
-    let left: Vec<_> = left.map(|entry| entry.unwrap().file_name()).collect();
-    assert_eq!(left, ["truth"]);
+    let stopped_at = |asked: usize| {
+        let so_far = AtomicUsize::new(0);
+        let is_stopped = || so_far.fetch_add(1, Ordering::Relaxed) >= asked;
+        let error = street(&small(), folder.path(), &mut |_| {}, &is_stopped).unwrap_err();
+        assert!(matches!(error, WorldError::Stopped), "{error}");
+        let left = fs::read_dir(folder.path()).unwrap();
+        let left = left.map(|entry| entry.unwrap().file_name());
+        left.collect::<Vec<_>>()
+    };
+    // While the street is built, and then.
+    assert!(stopped_at(0).is_empty());
+    assert_eq!(stopped_at(1), ["truth"]);
 }
 
 #[test]
