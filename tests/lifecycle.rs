@@ -426,7 +426,7 @@ fn what_standard_output_is_is_not_replaced() {
     let file = folder.path().join("rows.csv");
     let mut shell = Command::new("sh");
     shell.arg("-c").arg(
-        r#"{ echo first; "$1" sql "$2" "SELECT 7 AS n" --format csv --out /dev/stdout; echo last; } > "$3""#,
+        r#"set -e; { echo first; "$1" sql --sessions "$2" --query "SELECT 7 AS n" --format csv --out /dev/stdout; echo last; } > "$3""#,
     );
     shell.arg("sh").arg(program()).args([&log, &file]);
     Finished::from(shell.output().unwrap()).expect(0);
