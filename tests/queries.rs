@@ -635,6 +635,36 @@ fn sorts_windows_groups_and_joins_larger_than_memory_are_answered_from_disk() {
     }
 }
 
+/// A list of 150 MB fits into the memory, and what CSV, JSON, a table or Parquet make of it does not.
+#[test]
+fn rows_that_are_too_heavy_to_be_written_are_refused() {
+    let (folder, map) = mapped();
+    let limit = format!("{MEMORY_MIB}MiB");
+    let ask = |format: &str, values: u32| {
+        let out = folder.path().join(format!("answer.{format}"));
+        let query = format!(
+            "SELECT array_agg(repeat('x', 100000) || value) FROM generate_series(1, {values})"
+        );
+        let mut asked = command(&["sql", "--map", text(&map), "--memory", &limit]);
+        asked.args(["--format", format, "--out", text(&out), &query]);
+        let (ended, most) = watched(asked);
+        assert!(most > 0, "nobody looked while it ran: {format}");
+        assert!(
+            most <= MEMORY_MIB + BESIDE_MIB,
+            "{format}: {most} MiB resident"
+        );
+        (ended, out)
+    };
+    for format in ["csv", "json", "table", "parquet"] {
+        let (refused, out) = ask(format, 1500);
+        let refused = refused.expect(1).stderr;
+        assert!(refused.contains("a row on its way out needs"), "{refused}");
+        assert!(refused.contains("--format arrow") && !out.exists());
+        ask(format, 200).0.expect(0);
+    }
+    ask("arrow", 1500).0.expect(0);
+}
+
 /// Little memory has them joined by merging, as there may be no room for a side.
 #[test]
 fn joins_with_little_memory_answer_as_those_with_much() {

@@ -158,6 +158,12 @@ type Key = (Arc<str>, Reason, String, u64);
 /// Places that are told apart. Losses at further places are summed up by file, reason and topic.
 const MAX_PLACES: usize = 10_000;
 
+/// Bytes of the names of topics, and of words, of places that are told apart: a log may give a topic a name of a megabyte.
+const MAX_TEXT_BYTES: usize = 8 << 20;
+
+/// Characters of a line that a person is told.
+const MAX_LINE: usize = 1000;
+
 /// Topics that a person is told by name, of one file and for one reason.
 const MAX_TOPICS: usize = 16;
 
@@ -170,7 +176,26 @@ const ELSEWHERE: u64 = u64::MAX;
 /// was partitioned.
 #[derive(Debug, Clone, Default)]
 pub struct LossLedger {
-    entries: Arc<Mutex<BTreeMap<Key, Entry>>>,
+    places: Arc<Mutex<Places>>,
+}
+
+#[derive(Debug, Default)]
+struct Places {
+    entries: BTreeMap<Key, Entry>,
+    /// Bytes of their texts.
+    text_bytes: usize,
+}
+
+impl Places {
+    /// Whether one more of such texts is told apart from the others.
+    fn have_room_for(&self, entry: &Entry) -> bool {
+        self.entries.len() < MAX_PLACES && self.text_bytes + text_bytes(entry) <= MAX_TEXT_BYTES
+    }
+}
+
+/// Bytes of the texts of an entry and its key.
+fn text_bytes(entry: &Entry) -> usize {
+    2 * entry.topic.len() + entry.detail.len()
 }
 
 impl LossLedger {
@@ -179,31 +204,36 @@ impl LossLedger {
         Self::default()
     }
 
-    fn lock(&self) -> MutexGuard<'_, BTreeMap<Key, Entry>> {
-        self.entries.lock().unwrap_or_else(PoisonError::into_inner)
+    fn lock(&self) -> MutexGuard<'_, Places> {
+        self.places.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Notes a loss. A second note about the same place keeps the larger numbers, and the words that came with them. (Of more than 10,000 places that are
-    /// damaged, the sums say how much at least was lost: what is read twice may count twice.)
+    /// Notes a loss. A second note about the same place keeps the larger numbers, and the words that came with them. (Of more
+    /// than 10,000 places that are damaged, or of 8 MiB of texts about them, the sums say how much at least was lost: what is
+    /// read twice may count twice.)
     pub fn note(&self, entry: Entry) {
         let (file, topic) = (entry.file.clone(), entry.topic.clone());
         let mut key = (file, entry.reason, topic, entry.offset);
         let Loss { count, bytes } = entry.loss;
-        let mut entries = self.lock();
-        if entries.len() >= MAX_PLACES && !entries.contains_key(&key) {
+        let mut places = self.lock();
+        let places = &mut *places;
+        if !places.have_room_for(&entry) && !places.entries.contains_key(&key) {
             key.3 = ELSEWHERE;
-            if let Some(known) = entries.get_mut(&key) {
+            if let Some(known) = places.entries.get_mut(&key) {
                 known.loss.join(entry.loss);
                 return;
             }
         }
-        match entries.entry(key) {
+        match places.entries.entry(key) {
             Vacant(place) => {
+                places.text_bytes += text_bytes(&entry);
                 place.insert(entry);
             }
             Occupied(known) => {
                 let known = known.into_mut();
                 if count > known.loss.count {
+                    places.text_bytes += entry.detail.len();
+                    places.text_bytes -= known.detail.len();
                     known.detail = entry.detail;
                 }
                 known.loss.count = known.loss.count.max(count);
@@ -214,18 +244,18 @@ impl LossLedger {
 
     /// Whether nothing was lost.
     pub fn is_empty(&self) -> bool {
-        self.lock().is_empty()
+        self.lock().entries.is_empty()
     }
 
     /// Every entry, ordered by file, reason, topic and offset.
     pub fn entries(&self) -> Vec<Entry> {
-        self.lock().values().cloned().collect()
+        self.lock().entries.values().cloned().collect()
     }
 
     /// Sums by reason.
     pub fn losses(&self) -> BTreeMap<Reason, Loss> {
         let mut sums = BTreeMap::<Reason, Loss>::new();
-        for entry in self.lock().values() {
+        for entry in self.lock().entries.values() {
             sums.entry(entry.reason).or_default().join(entry.loss);
         }
         sums
@@ -243,7 +273,7 @@ impl LossLedger {
                     false => format!("{}: {} on other topics", entries[0].file, entries[0].reason),
                 };
                 let counts = entries.iter().map(|entry| entry.loss.count);
-                let sum = told.entry(line).or_insert(0_u64);
+                let sum = told.entry(shortened(line)).or_insert(0_u64);
                 *sum = counts.fold(*sum, u64::saturating_add);
             }
         }
@@ -267,6 +297,14 @@ impl LossLedger {
             ledger: self.clone(),
             file: file.into(),
         }
+    }
+}
+
+/// A line, cut where it is long.
+fn shortened(line: String) -> String {
+    match line.char_indices().nth(MAX_LINE) {
+        None => line,
+        Some((end, _)) => format!("{}…", &line[..end]),
     }
 }
 
@@ -312,88 +350,4 @@ impl FileLosses {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn places_beyond_those_told_apart_are_summed_up() {
-        let ledger = LossLedger::new();
-        let file = ledger.of_file("a.mcap");
-        for offset in 0..2 * MAX_PLACES as u64 {
-            file.note(Reason::BadRecord, offset, Loss::one(2), "x");
-        }
-        assert_eq!(ledger.entries().len(), MAX_PLACES + 1);
-        let expected = Loss {
-            count: 2 * MAX_PLACES as u64,
-            bytes: 4 * MAX_PLACES as u64,
-        };
-        assert_eq!(ledger.losses()[&Reason::BadRecord], expected);
-    }
-
-    /// As many as a forged file may claim.
-    #[test]
-    fn sums_stay_at_the_most_that_there_is() {
-        let most = Loss {
-            count: u64::MAX,
-            bytes: u64::MAX,
-        };
-        let mut sum = most;
-        sum.add(Some(u64::MAX));
-        assert_eq!(sum, most);
-        let ledger = LossLedger::new();
-        let file = ledger.of_file("a.mcap");
-        for offset in 0..MAX_PLACES as u64 + 3 {
-            file.note(Reason::BadSummary, offset, most, "x");
-        }
-        assert_eq!(ledger.losses()[&Reason::BadSummary], most);
-        assert_eq!(ledger.told().into_values().collect::<Vec<_>>(), [u64::MAX]);
-    }
-
-    #[test]
-    fn a_person_is_told_topics_and_what_was_wrong_as_far_as_they_are_few() {
-        let ledger = LossLedger::new();
-        let file = ledger.of_file("a.mcap");
-        file.note(Reason::Torn, 9, Loss::one(0), "");
-        for topic in 0..2 * MAX_TOPICS {
-            for offset in [1, 2] {
-                let (topic, detail) = (format!("/t{topic:02}"), format!("x is {offset}"));
-                file.note_topic(Reason::Senseless, &topic, offset, Loss::one(1), detail);
-            }
-        }
-        let told = ledger.told();
-        assert_eq!(told.len(), MAX_TOPICS + 2);
-        assert_eq!(told["a.mcap: logs without an end"], 1);
-        assert_eq!(
-            told["a.mcap: messages with invalid values on /t03: x is 1"],
-            2
-        );
-        let others = 2 * MAX_TOPICS as u64;
-        assert_eq!(
-            told["a.mcap: messages with invalid values on other topics"],
-            others
-        );
-    }
-
-    #[test]
-    fn a_place_that_is_read_twice_is_lost_once() {
-        let ledger = LossLedger::new();
-        let file = ledger.of_file("a.mcap");
-        for bytes in [10, 30, 20] {
-            file.note(Reason::BadChecksum, 7, Loss { count: 1, bytes }, "x");
-        }
-        file.note(Reason::BadChecksum, 8, Loss { count: 1, bytes: 1 }, "y");
-        assert_eq!(
-            ledger.losses()[&Reason::BadChecksum],
-            Loss {
-                count: 2,
-                bytes: 31
-            }
-        );
-        assert_eq!(ledger.lines(), ["2 chunks with a wrong checksum (31 B)"]);
-        // What is found in addition at a place is told with it.
-        let loss = Loss { count: 2, bytes: 1 };
-        file.note(Reason::BadChecksum, 8, loss, "y and z");
-        file.note(Reason::BadChecksum, 8, Loss::one(1), "y");
-        assert_eq!(ledger.entries()[1].detail, "y and z");
-    }
-}
+mod tests;

@@ -10,11 +10,11 @@ use object_store::{ObjectMeta, ObjectStore};
 use serde::{Deserialize, Serialize};
 
 use crate::log::definition::{Definition, LogChannel, LogSchema};
+use crate::log::linear::{self, Summarised};
 use crate::log::pace::Pace;
 use crate::log::record::{MAGIC, nanoseconds};
-use crate::log::summary::TrailingSummary;
-use crate::log::{linear, summary};
-use crate::losses::{Entry, LossLedger};
+use crate::log::summary::{self, TrailingSummary};
+use crate::losses::{Entry, LossLedger, Reason};
 
 /// Where a JSON Schema names fields.
 const PROPERTIES: &[u8] = b"\"properties\"";
@@ -173,7 +173,7 @@ pub struct LogIndex {
 
 impl LogIndex {
     /// Raised where the same file gives another index, or other losses: what was kept before is then read anew.
-    pub const VERSION: u32 = 5;
+    pub const VERSION: u32 = 6;
 
     /// Reads the index of the file at `meta.location`: the summary where there is a sound one, else the whole file, one
     /// record at a time.
@@ -187,7 +187,16 @@ impl LogIndex {
         let losses = ledger.of_file(meta.location.as_ref());
         let (indexed, unbelieved) = match summary::read(store, meta).await? {
             TrailingSummary::Sound(found) => {
-                let index = linear::with_gaps(store, meta, *found, &losses).await?;
+                let index = match linear::with_gaps(store, meta, *found, &losses).await? {
+                    Summarised::Whole(index) => Some(index),
+                    Summarised::Contradicted => None,
+                    Summarised::Cut(index) => {
+                        if let Some(whole) = Self::from_start(store, meta).await? {
+                            return Ok(whole);
+                        }
+                        Some(index)
+                    }
+                };
                 (index, true)
             }
             TrailingSummary::Unbelieved => (None, true),
@@ -205,6 +214,25 @@ impl LogIndex {
             losses: ledger.entries(),
             ..index
         })
+    }
+
+    /// The index of a file whose summary is not believed, if its records follow each other from its start to their end: behind
+    /// one that is damaged, the summary finds more.
+    async fn from_start(
+        store: &Arc<dyn ObjectStore>,
+        meta: &ObjectMeta,
+    ) -> Result<Option<Self>, Fault> {
+        let ledger = LossLedger::new();
+        let losses = ledger.of_file(meta.location.as_ref());
+        let index = linear::read(store, meta, &losses).await?;
+        let losses = ledger.entries();
+        let is_torn = losses.iter().any(|lost| lost.reason == Reason::Torn);
+        Ok((!is_torn).then(|| Self {
+            size: meta.size,
+            unbelieved: true,
+            losses,
+            ..index
+        }))
     }
 
     /// Whether it can be the index of a file of this size, as far as it says itself: it was read from one, its

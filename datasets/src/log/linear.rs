@@ -72,34 +72,50 @@ pub(crate) async fn read(
     Ok(index)
 }
 
+/// The index of a file as its summary has it.
+pub(crate) enum Summarised {
+    /// With what lies between its entries.
+    Whole(LogIndex),
+    /// A record between its entries does not end where the next one begins: it is damaged, or the entry is.
+    Cut(LogIndex),
+    /// What lies between contradicts the summary.
+    Contradicted,
+}
+
 /// Completes the index of a file with a sound summary by what lies between the entries of its index: messages
-/// outside chunks, and records that the summary does not list. `None` where they contradict the summary.
+/// outside chunks, and records that the summary does not list.
 pub(crate) async fn with_gaps(
     store: &Arc<dyn ObjectStore>,
     meta: &ObjectMeta,
     summary: Summary,
     losses: &FileLosses,
-) -> Result<Option<LogIndex>, Fault> {
+) -> Result<Summarised, Fault> {
     let end = summary.gaps.iter().map(|gap| gap.1).max().unwrap_or(0);
     let mut scan = Scan::new(summary.collector, store, meta, end, losses);
+    let mut is_cut = false;
     for (start, end) in summary.gaps {
         if let Ended::Early(at) = scan.run(start, end).await?
             && at < end
         {
             let loss = Loss::one(end - at);
             losses.note(Reason::BadRecord, at, loss, "between indexed records");
+            is_cut = true;
         }
     }
     scan.note_full();
     if scan.contradicts(summary.indexed) {
         tracing::warn!(file = %meta.location, "the summary contradicts the file: reading the file from its start");
-        return Ok(None);
+        return Ok(Summarised::Contradicted);
     }
     let sum = scan.left.filter(|_| scan.loose > 0);
-    Ok(Some(LogIndex {
+    let index = LogIndex {
         sum,
         ..scan.collector.finish()
-    }))
+    };
+    Ok(match is_cut {
+        true => Summarised::Cut(index),
+        false => Summarised::Whole(index),
+    })
 }
 
 enum Ended {

@@ -311,6 +311,49 @@ async fn an_entry_that_is_longer_than_its_chunk_hides_nothing() {
     assert_eq!(rows(&log, "/a").await, (5, vec![(Reason::BadIndex, 1)]));
 }
 
+/// The chunk that an entry leads into the middle of has none of its own. All of it is read where the records of the file follow each
+/// other, and behind one that is damaged what other entries lead to.
+#[tokio::test]
+async fn an_entry_that_leads_into_a_chunk_hides_no_message() {
+    let (whole, length, size) = two_topics();
+    let indexes = [message_index(1, 5), message_index(2, 5)].concat();
+    let listed = [(1, 5), (2, 5)];
+    let next = length + indexes.len() as u64;
+    let data = [whole.clone(), indexes.clone()].concat();
+    let inside = |number: u64, by: u64| {
+        let place = (first() + number * next + by, length - by);
+        chunk_index_of((1, 5), place.0, place.1, size, &listed)
+    };
+    let log = |entries: [(u64, u64); 3], data: &[Vec<u8>]| {
+        let all = [(1, 15), (2, 15)];
+        let entries = entries.map(|(number, by)| inside(number, by)).concat();
+        let definitions = [channel(1, 0, "/a", "json"), channel(2, 0, "/b", "json")];
+        let summary = [definitions.concat(), entries, statistics((1, 5), 2, &all)];
+        file(data, &summary)
+    };
+    let chunks = [data.clone(), data.clone(), data.clone()];
+    for by in [1, 20, length - 1] {
+        for entries in [
+            [(0, 0), (1, by), (2, 0)],
+            [(0, by), (1, 0), (2, 0)],
+            [(0, 0), (1, 0), (2, by)],
+            [(0, by), (1, by), (2, by)],
+        ] {
+            let log = log(entries, &chunks);
+            for topic in ["/a", "/b"] {
+                assert_eq!(rows(&log, topic).await, (15, vec![]), "{entries:?}");
+            }
+            assert!(surveyed(&log).await.is_empty());
+        }
+    }
+    let mut damaged = chunks.clone();
+    damaged[1][..9].fill(0);
+    let log = log([(0, 0), (1, 20), (2, 0)], &damaged);
+    let (found, lost) = rows(&log, "/a").await;
+    assert_eq!(found, 10);
+    assert!(!lost.is_empty());
+}
+
 /// A thousand channels of one schema have it once, on disk and in memory.
 #[tokio::test]
 async fn a_schema_is_kept_once() {

@@ -11,13 +11,25 @@ use crate::Reason;
 #[derive(Debug, Clone, Default, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 pub struct Losses(pub BTreeMap<String, u64>);
 
+/// Reasons that are told apart. Who makes a reason of each thing counts no more of them.
+const MOST_REASONS: usize = 1000;
+
+/// The reason that stands for all further ones.
+const OTHER_REASONS: &str = "other reasons";
+
 impl Losses {
-    /// Adds to one reason's count, as far as numbers go: who counts may be a function of somebody else.
+    /// Adds to one reason's count, as far as numbers go: who counts may be a function of somebody else. Of many reasons, what
+    /// comes for further ones is counted together.
     pub fn add(&mut self, reason: impl Into<String>, count: u64) {
-        if count > 0 {
-            let sum = self.0.entry(reason.into()).or_default();
-            *sum = sum.saturating_add(count);
+        if count == 0 {
+            return;
         }
+        let mut reason = reason.into();
+        if self.0.len() >= MOST_REASONS && !self.0.contains_key(&reason) {
+            OTHER_REASONS.clone_into(&mut reason);
+        }
+        let sum = self.0.entry(reason).or_default();
+        *sum = sum.saturating_add(count);
     }
 
     /// Adds another's counts.
@@ -114,6 +126,23 @@ impl<'a> Emit<'a> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn reasons_beyond_those_told_apart_are_counted_together() {
+        let mut losses = Losses::default();
+        for number in 0..3 * MOST_REASONS {
+            losses.add(format!("message {number} makes no sense"), 2);
+        }
+        losses.add("message 1 makes no sense", 1);
+        assert_eq!(losses.0.len(), MOST_REASONS + 1);
+        assert_eq!(losses.total(), 6 * MOST_REASONS as u64 + 1);
+        assert_eq!(losses.0["message 1 makes no sense"], 3);
+        assert_eq!(losses.0[OTHER_REASONS], 4 * MOST_REASONS as u64);
+        let mut both = losses.clone();
+        both.merge(&losses);
+        assert_eq!(both.0.len(), MOST_REASONS + 1);
+        assert_eq!(both.total(), 2 * losses.total());
+    }
 
     #[test]
     fn counts_stay_at_the_most_that_there_is() {

@@ -33,6 +33,9 @@ pub enum Failure {
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct Lost(pub BTreeMap<String, u64>);
 
+/// Reasons that a person is told of losses.
+const MOST_REASONS: usize = 100;
+
 /// How a command ends.
 pub type Ending = Result<Lost, Failure>;
 
@@ -106,12 +109,19 @@ pub fn tell(ending: &Ending, stderr: &mut dyn Write) -> u8 {
 }
 
 impl Lost {
-    /// How many, and a line for each reason.
+    /// How many, and a line for each reason; of many reasons, for the first.
     pub fn counted(&self) -> String {
-        let total: u64 = self.0.values().sum();
-        let lines = self.0.iter();
+        let sum = |count: u64, more: &u64| count.saturating_add(*more);
+        let total = self.0.values().fold(0, sum);
+        let lines = self.0.iter().take(MOST_REASONS);
         let lines = lines.map(|(reason, count)| format!("  {count:>8}  {reason}\n"));
-        format!("{total} skipped or lost\n{}", lines.collect::<String>())
+        let lines: String = lines.collect();
+        let others = self.0.values().skip(MOST_REASONS);
+        let others = match others.len() {
+            0 => String::new(),
+            more => format!("  {:>8}  for {more} more reasons\n", others.fold(0, sum)),
+        };
+        format!("{total} skipped or lost\n{lines}{others}")
     }
 }
 
@@ -146,6 +156,16 @@ mod tests {
             text.contains("4 skipped or lost") && text.contains("3  dark frames"),
             "{text}"
         );
+    }
+
+    #[test]
+    fn of_many_reasons_the_first_are_told_and_all_are_counted() {
+        let reasons = (0..1_000).map(|number| (format!("topic {number:03}"), 2));
+        let (code, text) = told(Ok(Lost(reasons.collect())));
+        assert_eq!((code, text.lines().count()), (3, MOST_REASONS + 2));
+        assert!(text.starts_with("finished with loss: 2000 skipped or lost\n"));
+        let last = "\n         2  topic 099\n      1800  for 900 more reasons\n";
+        assert!(text.ends_with(last), "{text}");
     }
 
     #[test]

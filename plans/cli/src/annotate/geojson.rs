@@ -7,9 +7,10 @@ use evermap_catalog::painted::ImageKey;
 use evermap_schemas::Fault;
 use serde_json::Value;
 
+use super::Losses;
 use super::features::DrawnFeature;
-use super::{Losses, is_blank};
-use crate::annotate::geojson::members::{MOST_FEATURES, WrittenFeature};
+use crate::annotate::geojson::members::WrittenFeature;
+use crate::annotate::reading::Member;
 
 pub use crate::annotate::geojson::members::GeoJsonFile;
 
@@ -41,29 +42,15 @@ pub fn features(file: GeoJsonFile, losses: &mut Losses) -> Result<Vec<DrawnFeatu
 /// # Errors
 /// As [`features`].
 fn listed(file: GeoJsonFile) -> Result<Vec<WrittenFeature>, Fault> {
-    match file.geometry.kind.0.as_deref() {
-        Some("FeatureCollection") if !file.features.is_list => {
+    match file.geometry.kind.text() {
+        Some("FeatureCollection") if file.features.is != Member::List => {
             let fault =
                 Fault::user("expected a list of features in a FeatureCollection, found none");
             Err(fault.next("export the features themselves as GeoJSON (in QGIS: Save Features As)"))
         }
-        Some("FeatureCollection") if file.features.count > MOST_FEATURES => {
-            let found = file.features.count;
-            let fault = format!("expected at most {MOST_FEATURES} features, found {found}");
-            Err(Fault::user(fault).next("make several files of it"))
-        }
-        Some("FeatureCollection") => Ok(file.features.first),
+        Some("FeatureCollection") => file.features.all("features"),
         Some("Feature") => Ok(vec![file.feature]),
         _ => Ok(vec![WrittenFeature::bare(file.geometry)]),
-    }
-}
-
-/// A text that is not blank, or a number as text.
-pub(super) fn text(value: &Value) -> Option<String> {
-    match value {
-        Value::String(text) if !is_blank(text) => Some(text.clone()),
-        Value::Number(number) => Some(number.to_string()),
-        _ => None,
     }
 }
 
@@ -79,6 +66,7 @@ mod tests {
     use serde_json::json;
 
     use super::*;
+    use crate::annotate::reading::MOST_FEATURES;
 
     /// The features of a file, as it is read.
     fn features(value: &Value, losses: &mut Losses) -> Result<Vec<DrawnFeature>, Fault> {

@@ -39,20 +39,31 @@ const MOST_LINES: usize = 20;
 pub struct Losses {
     /// Counts by reason.
     pub counts: BTreeMap<String, u64>,
-    /// Where, and what was found, one line each; and what else is to be told.
+    /// Where, and what was found, one line each; and what else is to be told. Of many, the first, and how many more there are.
     pub lines: Vec<String>,
+    /// How many more there are.
+    more: usize,
 }
 
 impl Losses {
     /// One thing that was left out, or does not fit; `place` says which.
     pub fn note(&mut self, reason: &str, place: &str) {
         self.count(reason, 1);
-        self.lines.push(format!("{place}: {reason}"));
+        self.line(|| format!("{place}: {reason}"));
     }
 
     /// Something to be told that is no loss.
     pub fn remark(&mut self, text: &str) {
-        self.lines.push(text.to_owned());
+        self.line(|| text.to_owned());
+    }
+
+    fn line(&mut self, text: impl Fn() -> String) {
+        if self.lines.len() < MOST_LINES {
+            return self.lines.push(text());
+        }
+        self.more += 1;
+        self.lines.truncate(MOST_LINES);
+        self.lines.push(format!("… and {} more", self.more));
     }
 
     /// Counts without a place.
@@ -62,13 +73,9 @@ impl Losses {
         }
     }
 
-    /// Tells the person, on stderr, the first of them.
+    /// Tells the person, on stderr.
     pub fn tell(&self) {
-        let shown = self.lines.iter().take(MOST_LINES);
-        shown.for_each(|text| line(text));
-        if self.lines.len() > MOST_LINES {
-            line(&format!("… and {} more", self.lines.len() - MOST_LINES));
-        }
+        self.lines.iter().for_each(|text| line(text));
     }
 }
 
@@ -154,6 +161,19 @@ pub fn unwritten(error: RecordingError) -> Fault {
 mod tests {
     #![allow(clippy::unwrap_used)]
     use super::*;
+
+    #[test]
+    fn of_many_losses_the_first_are_told_and_all_are_counted() {
+        let mut losses = Losses::default();
+        for number in 0..1_000_000 {
+            losses.note("feature without a shape", &format!("feature {number}"));
+        }
+        losses.remark("note: done");
+        assert_eq!(losses.counts["feature without a shape"], 1_000_000);
+        assert_eq!(losses.lines.len(), MOST_LINES + 1);
+        assert_eq!(losses.lines[1], "feature 1: feature without a shape");
+        assert_eq!(losses.lines[MOST_LINES], "… and 999981 more");
+    }
 
     /// Its letters are letters of UTF-8, too: where it has no mark at its beginning, nothing else tells.
     #[test]

@@ -11,6 +11,7 @@ use arrow::array::RecordBatch;
 use arrow::datatypes::SchemaRef;
 use datafusion::common::TableReference;
 use datafusion::error::DataFusionError;
+use datafusion::execution::memory_pool::MemoryConsumer;
 use datafusion::logical_expr::LogicalPlan;
 use datafusion::prelude::{DataFrame, SessionContext};
 use datafusion::sql::parser::{DFParserBuilder, Statement};
@@ -36,13 +37,17 @@ use tokio::sync::OnceCell;
 use crate::arguments::{SessionArgs, SqlArgs};
 use crate::ending::{Ending, Failure, Lost};
 use crate::operators;
-use crate::output::{Format, Sink, write, write_whole};
+use crate::output::{Format, Sink, write_whole, write_within};
 use crate::progress::line;
 use crate::prompt;
 use crate::reader::MapReader;
 use crate::sessions;
 use crate::standard_input::standard_input;
 use schemas::{add_hidden_topics, schema_of_session};
+
+/// What to do where a row is too heavy to be written.
+const COPIED: &str =
+    "give more --memory, or write Arrow (--format arrow), which makes nothing else of a row";
 
 /// The name that a map is given, where it is, and its address.
 fn named(map: &str) -> (Option<&str>, &str) {
@@ -295,7 +300,15 @@ impl Tables {
         let rows = rows.map_err(|error| fault_of(&error));
         match is_plan {
             true => write_whole(format, schema, rows.boxed(), sink).await,
-            false => write(format, schema, rows.boxed(), sink).await,
+            false => {
+                let copied = MemoryConsumer::new("a row on its way out");
+                let copied = copied.register(&self.context.runtime_env().memory_pool);
+                let copy = |bytes| match copied.try_resize(bytes).or_fault() {
+                    Err(fault) => Err(fault.next(COPIED)),
+                    done => done,
+                };
+                write_within(format, schema, rows.boxed(), sink, copy).await
+            }
         }
     }
 }

@@ -77,6 +77,10 @@ impl<W: Write + Send> RowWriter for GeoJson<'_, W> {
         Ok(())
     }
 
+    fn copies(&self) -> usize {
+        3
+    }
+
     fn finish(mut self: Box<Self>) -> Result<(), Failure> {
         Ok(self.out.write_all(b"\n]}\n")?)
     }

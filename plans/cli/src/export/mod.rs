@@ -20,6 +20,7 @@ use std::sync::Arc;
 
 use arrow::array::RecordBatch;
 use clap::{Args, ValueEnum};
+use evermap_engine::sql::Term;
 use evermap_engine::sql::described::{noted, notes};
 use evermap_schemas::{Fault, Layer};
 
@@ -27,7 +28,7 @@ use crate::arguments::ExportArgs;
 use crate::earth::{Coordinates, Earth, beside, on_earth};
 use crate::ending::{DONE, Ending, Failure};
 pub use crate::export::geo::{GeoJson, Head, ON_EARTH};
-use crate::output::{CRS, Format, GEOMETRY, RowWriter, Sink, write, write_file};
+use crate::output::{CRS, Format, GEOMETRY, RowWriter, Sink, pieces, write, write_file};
 use crate::reader::{MapReader, nothing, only, texts};
 
 /// What a layer is exported to.
@@ -238,7 +239,7 @@ fn geoparquet(
 /// metres.
 ///
 /// # Errors
-/// A user fault for rows without a geometry, or of a site that lies nowhere.
+/// A user fault for rows without a geometry, or of a site that lies nowhere, and where the term of the task is over.
 pub fn geojson(
     batches: Vec<RecordBatch>,
     layer: Option<&Layer>,
@@ -251,8 +252,12 @@ pub fn geojson(
         on_earth: earth.moves(&batches),
     };
     let mut features = Box::new(GeoJson::begin(head, layer, earth, out)?);
-    for batch in &batches {
-        features.write(batch)?;
+    let term = Term::of_task();
+    for piece in batches.into_iter().flat_map(pieces) {
+        if term.is_over() {
+            return Err(Fault::user("stopped").into());
+        }
+        features.write(&piece)?;
     }
     features.finish()
 }

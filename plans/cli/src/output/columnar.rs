@@ -129,6 +129,10 @@ impl RowWriter for Parquet<'_> {
             .sum()
     }
 
+    fn copies(&self) -> usize {
+        4
+    }
+
     fn finish(mut self: Box<Self>) -> Result<(), Failure> {
         self.end_group().map_err(failure)?;
         if !self.geometries.is_empty() {
@@ -255,6 +259,10 @@ impl RowWriter for Arrow<'_> {
             None if self.has_dictionaries => Ok(self.file.write(&with_columns(&schema, batch)?)?),
             None => Ok(self.file.write(batch)?),
         }
+    }
+
+    fn copies(&self) -> usize {
+        0
     }
 
     fn finish(mut self: Box<Self>) -> Result<(), Failure> {

@@ -11,6 +11,7 @@ use std::path::Path;
 use arrow::array::RecordBatch;
 use arrow::datatypes::SchemaRef;
 use clap::ValueEnum;
+use evermap_engine::nodes::weight::bytes;
 use evermap_schemas::{Fault, LayerRow, batch};
 use futures::{Stream, StreamExt};
 
@@ -66,11 +67,26 @@ pub async fn write(
     rows: impl Stream<Item = Result<RecordBatch, Fault>>,
     sink: &mut Sink,
 ) -> Result<u64, Failure> {
+    write_within(format, schema, rows, sink, |_| Ok(())).await
+}
+
+/// As [`write()`]. `copy` is told how many bytes a heavy row will take while it is written, and may refuse it; 0 once it is.
+///
+/// # Errors
+/// As [`write()`], or what `copy` says.
+pub async fn write_within(
+    format: Format,
+    schema: SchemaRef,
+    rows: impl Stream<Item = Result<RecordBatch, Fault>>,
+    sink: &mut Sink,
+    copy: impl Fn(usize) -> Result<(), Fault>,
+) -> Result<u64, Failure> {
     let cells = match sink.is_terminal() {
         true => Cells::Short,
         false => Cells::Long,
     };
-    written(format, cells, schema, rows, sink).await
+    let writer = open(format, cells, schema, sink)?;
+    poured(rows, writer, |_, copied| copy(copied)).await
 }
 
 /// As [`write()`], and each cell is whole, with the lines that it has.
@@ -83,23 +99,21 @@ pub async fn write_whole(
     rows: impl Stream<Item = Result<RecordBatch, Fault>>,
     sink: &mut Sink,
 ) -> Result<u64, Failure> {
-    written(format, Cells::Lines, schema, rows, sink).await
+    pour(rows, open(format, Cells::Lines, schema, sink)?, |_| Ok(())).await
 }
 
-async fn written(
+fn open(
     format: Format,
     cells: Cells,
     schema: SchemaRef,
-    rows: impl Stream<Item = Result<RecordBatch, Fault>>,
     sink: &mut Sink,
-) -> Result<u64, Failure> {
+) -> Result<Box<dyn RowWriter + '_>, Failure> {
     if format.is_binary() && sink.is_terminal() {
         return Err(Fault::user("Parquet and Arrow are not for terminals")
             .next("name a file with --out, or redirect")
             .into());
     }
-    let writer = writers::open(format, cells, schema, sink)?;
-    pour(rows, writer, |_| Ok(())).await
+    writers::open(format, cells, schema, sink)
 }
 
 /// What writes rows in a format, as [`write()`] does.
@@ -115,25 +129,69 @@ pub fn writer(
 }
 
 /// Writes rows as they come, to their end; how many there were. `keep` is told how many bytes are kept of them until more
-/// come, each time in place of those before, and may refuse it.
+/// come, and how many a heavy row will take while it is written, each time in place of those before, and may refuse it.
 ///
 /// # Errors
 /// What the stream, the writer or `keep` says.
 pub async fn pour(
     rows: impl Stream<Item = Result<RecordBatch, Fault>>,
-    mut writer: Box<dyn RowWriter + '_>,
+    writer: Box<dyn RowWriter + '_>,
     keep: impl Fn(usize) -> Result<(), Fault>,
+) -> Result<u64, Failure> {
+    poured(rows, writer, |held, copied| keep(held + copied)).await
+}
+
+/// As [`pour`], where `keep` is told both numbers.
+async fn poured(
+    rows: impl Stream<Item = Result<RecordBatch, Fault>>,
+    mut writer: Box<dyn RowWriter + '_>,
+    keep: impl Fn(usize, usize) -> Result<(), Fault>,
 ) -> Result<u64, Failure> {
     let mut rows = std::pin::pin!(rows);
     let mut count = 0;
     while let Some(batch) = rows.next().await {
         let batch = batch?;
         count += batch.num_rows() as u64;
-        writer.write(&batch)?;
-        keep(writer.held())?;
+        for piece in pieces(batch) {
+            let weight = weight(&piece);
+            if weight > LIGHT_BYTES {
+                keep(writer.held(), writer.copies() * weight)?;
+            }
+            writer.write(&piece)?;
+            keep(writer.held(), 0)?;
+            // Rows that are all there already would not be left before their end, whoever wants to stop.
+            tokio::task::yield_now().await;
+        }
     }
     writer.finish()?;
     Ok(count)
+}
+
+/// Bytes of rows that are written together, unless they are of a single row: what a format makes of them meanwhile is a few times as
+/// much.
+const LIGHT_BYTES: usize = 8 << 20;
+
+/// A batch as several light ones, as far as its rows are light.
+pub fn pieces(batch: RecordBatch) -> Vec<RecordBatch> {
+    let (all, bytes) = (batch.num_rows(), weight(&batch));
+    if bytes <= LIGHT_BYTES || all <= 1 {
+        return vec![batch];
+    }
+    let (mut pieces, mut start, mut held) = (Vec::new(), 0, 0);
+    for row in 0..all {
+        let more = weight(&batch.slice(row, 1));
+        if row > start && held + more > LIGHT_BYTES {
+            pieces.push(batch.slice(start, row - start));
+            (start, held) = (row, 0);
+        }
+        held += more;
+    }
+    pieces.push(batch.slice(start, all - start));
+    pieces
+}
+
+fn weight(batch: &RecordBatch) -> usize {
+    batch.columns().iter().map(|column| bytes(column)).sum()
 }
 
 /// Writes typed rows to standard output, whole.

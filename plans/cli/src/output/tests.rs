@@ -300,3 +300,80 @@ async fn a_folder_of_temporary_files_that_is_gone_is_named_in_every_format() {
     };
     assert!(fault.next.contains("/no/such/folder"), "{fault}");
 }
+
+/// Rows that are there at once are left all the same, between one batch and the next, and the half of a file goes with them.
+#[tokio::test]
+async fn who_stops_while_rows_are_written_leaves_no_file_behind() {
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().join("answer.csv");
+    let writing = tokio::spawn(async move {
+        let mut sink = Sink::file(&out)?;
+        let rows = futures::stream::repeat(rows()).map(Ok).take(100_000);
+        write(Format::Csv, self::rows().schema(), rows, &mut sink).await?;
+        sink.finish()
+    });
+    tokio::task::yield_now().await;
+    writing.abort();
+    assert!(writing.await.unwrap_err().is_cancelled());
+    assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 0);
+}
+
+/// In a piece there are as many rows as are light, and a heavy one alone.
+#[test]
+fn heavy_batches_are_written_in_light_pieces() {
+    let texts = [1, 5, 2, 9, 4, 4].map(|megabytes| "x".repeat(megabytes << 20));
+    let texts = StringArray::from_iter_values(texts);
+    let batch = RecordBatch::try_from_iter([("t", Arc::new(texts) as ArrayRef)]).unwrap();
+    let lengths: Vec<usize> = pieces(batch.clone())
+        .iter()
+        .map(RecordBatch::num_rows)
+        .collect();
+    assert_eq!(lengths, [2, 1, 1, 1, 1]);
+    let schema = batch.schema();
+    assert_eq!(
+        concat_batches(&schema, &pieces(batch.clone())).unwrap(),
+        batch
+    );
+    assert_eq!(pieces(batch.slice(0, 2)).len(), 1);
+    assert_eq!(pieces(RecordBatch::new_empty(schema)).len(), 1);
+}
+
+/// What a heavy row takes while it is written is asked for before, and given back.
+#[tokio::test]
+async fn a_heavy_row_is_asked_for_before_it_is_written() {
+    let row = |megabytes: usize| {
+        let text = StringArray::from_iter_values(["x".repeat(megabytes << 20)]);
+        RecordBatch::try_from_iter([("t", Arc::new(text) as ArrayRef)]).unwrap()
+    };
+    let rows = [row(1), row(10), row(2)];
+    for (format, times) in [
+        (Format::Table, 7),
+        (Format::Csv, 5),
+        (Format::Json, 3),
+        (Format::Parquet, 4),
+    ] {
+        let asked = std::sync::Mutex::new(Vec::new());
+        let ask = |most: usize| {
+            let stream = futures::stream::iter(rows.clone().map(Ok));
+            let asked = &asked;
+            let copy = move |bytes: usize| {
+                asked.lock().unwrap().push(bytes);
+                match bytes > most {
+                    true => Err(evermap_schemas::Fault::resource("too heavy")),
+                    false => Ok(()),
+                }
+            };
+            async move {
+                let mut sink = Sink::spooled(usize::MAX);
+                write_within(format, row(1).schema(), stream, &mut sink, copy).await
+            }
+        };
+        assert_eq!(ask(usize::MAX).await.unwrap(), 3);
+        let asked_for: Vec<usize> = asked.lock().unwrap().drain(..).collect();
+        let (copied, others): (Vec<usize>, Vec<usize>) =
+            asked_for.iter().partition(|bytes| **bytes > 0);
+        assert_eq!((copied.len(), others.len()), (1, 3));
+        assert!((copied[0] >> 20) == 10 * times, "{copied:?}");
+        assert!(ask(9 << 20).await.is_err());
+    }
+}

@@ -30,6 +30,9 @@ pub trait RowWriter: Send {
         0
     }
 
+    /// How often a heavy row is in memory meanwhile, beside itself: as another value, as a text that grows, and as a line of texts.
+    fn copies(&self) -> usize;
+
     /// Writes what ends the text.
     fn finish(self: Box<Self>) -> Result<(), Failure>;
 }
@@ -102,6 +105,10 @@ impl RowWriter for Table<'_> {
         self.bytes
     }
 
+    fn copies(&self) -> usize {
+        7
+    }
+
     fn finish(mut self: Box<Self>) -> Result<(), Failure> {
         if self.rows > 0 || !self.shown {
             self.show()
@@ -165,6 +172,10 @@ impl RowWriter for Csv<'_> {
         self.lay_out(batch, false)
     }
 
+    fn copies(&self) -> usize {
+        5
+    }
+
     fn finish(self: Box<Self>) -> Result<(), Failure> {
         Ok(())
     }
@@ -174,6 +185,10 @@ impl RowWriter for Csv<'_> {
 impl RowWriter for JsonWriter<&mut Sink, JsonArray> {
     fn write(&mut self, batch: &RecordBatch) -> Result<(), Failure> {
         Ok(JsonWriter::write(self, batch)?)
+    }
+
+    fn copies(&self) -> usize {
+        3
     }
 
     fn finish(mut self: Box<Self>) -> Result<(), Failure> {

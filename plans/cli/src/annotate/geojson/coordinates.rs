@@ -1,10 +1,9 @@
 //! Coordinates, read into no more than an outline of them needs: they may come before the type that says what they are.
 
-use evermap_algorithms::labels::shapes::MOST_POINTS;
 use serde::de::SeqAccess;
 
-use crate::annotate::features::{Geometry, Point, TOO_MANY_POINTS};
-use crate::annotate::reading::{AnyJson, JsonScalar, Lenient};
+use crate::annotate::features::{Geometry, Point};
+use crate::annotate::reading::{AnyJson, JsonScalar, Lenient, OutlinePoints};
 use crate::export::ON_EARTH;
 
 /// Why a list is no line.
@@ -30,9 +29,7 @@ pub(super) struct CoordinateList {
     numbers: [f64; 3],
     has_others: bool,
     /// The elements as the positions of a line.
-    points: Vec<Point>,
-    /// Why they are none.
-    fault: Option<&'static str>,
+    points: OutlinePoints<Point>,
     /// The first element, where it is a list: of several, none is taken.
     first: Option<Box<CoordinateList>>,
 }
@@ -42,7 +39,7 @@ impl Lenient for WrittenCoordinates {
         *self = match scalar {
             JsonScalar::Number(number) => number.as_f64().map_or(Self::Other, Self::Number),
             JsonScalar::Text(text) if text == ON_EARTH => Self::OnEarth,
-            JsonScalar::Text(_) | JsonScalar::Truth => Self::Other,
+            JsonScalar::Text(_) | JsonScalar::Truth(_) => Self::Other,
         };
     }
 
@@ -68,13 +65,13 @@ impl CoordinateList {
                 if let Some(slot) = self.numbers.get_mut(self.count) {
                     *slot = value;
                 }
-                self.end(NO_POSITION);
+                self.points.end(NO_POSITION);
             }
             WrittenCoordinates::List(list) => {
                 self.has_others = true;
                 match list.position() {
-                    Some(point) => self.add(point),
-                    None => self.end(NO_POSITION),
+                    Some(point) => self.points.add(point),
+                    None => self.points.end(NO_POSITION),
                 }
                 if self.count == 0 {
                     self.first = Some(Box::new(list));
@@ -82,16 +79,10 @@ impl CoordinateList {
             }
             WrittenCoordinates::Other | WrittenCoordinates::OnEarth => {
                 self.has_others = true;
-                self.end(NO_POSITION);
+                self.points.end(NO_POSITION);
             }
         }
         self.count += 1;
-    }
-
-    /// It is no line, for this reason or one before.
-    fn end(&mut self, fault: &'static str) {
-        self.fault.get_or_insert(fault);
-        self.points = Vec::new();
     }
 
     fn position(&self) -> Option<Point> {
@@ -101,21 +92,6 @@ impl CoordinateList {
             _ if self.has_others => None,
             2 => Some(([x, y], None)),
             _ => Some(([x, y], Some(z))),
-        }
-    }
-
-    /// One more point of a line. What is written twice in a row is one, where there are many.
-    fn add(&mut self, point: Point) {
-        if self.fault.is_some() {
-            return;
-        }
-        if self.points.len() == MOST_POINTS {
-            self.points.dedup();
-        }
-        match () {
-            () if self.points.len() < MOST_POINTS => self.points.push(point),
-            () if self.points.last() == Some(&point) => {}
-            () => self.end(TOO_MANY_POINTS),
         }
     }
 }
@@ -164,19 +140,17 @@ fn ring(rings: Option<CoordinateList>) -> Result<Geometry, &'static str> {
 }
 
 fn points(positions: Option<CoordinateList>) -> Result<Vec<Point>, &'static str> {
-    let positions = positions.ok_or(NO_POSITION)?;
-    match positions.fault {
-        Some(fault) => Err(fault),
-        None => Ok(positions.points),
-    }
+    positions.ok_or(NO_POSITION)?.points.all()
 }
 
 #[cfg(test)]
 mod tests {
     #![allow(clippy::unwrap_used, clippy::panic)]
+    use evermap_algorithms::labels::shapes::MOST_POINTS;
     use serde_json::{Value, json};
 
     use super::*;
+    use crate::annotate::features::TOO_MANY_POINTS;
 
     fn outline(kind: &str, coordinates: Value) -> Result<Geometry, &'static str> {
         let read: AnyJson<WrittenCoordinates> = serde_json::from_value(coordinates).unwrap();
@@ -256,7 +230,7 @@ mod tests {
         let read: AnyJson<WrittenCoordinates> = serde_json::from_value(many.clone()).unwrap();
         let list = read.0.into_list().unwrap();
         assert_eq!(list.count, MOST_POINTS + 1);
-        assert_eq!(list.points.capacity(), 0);
+        assert_eq!(list.points.all(), Err(TOO_MANY_POINTS));
         assert_eq!(outline("LineString", many.clone()), Err(TOO_MANY_POINTS));
         assert_eq!(outline("Polygon", json!([many])), Err(TOO_MANY_POINTS));
         let behind = line(2 * MOST_POINTS, 2);

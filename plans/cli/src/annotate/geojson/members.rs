@@ -2,15 +2,11 @@
 
 use evermap_catalog::painted::ImageKey;
 use evermap_schemas::Stamp;
-use serde::de::{Deserialize, Deserializer, MapAccess, SeqAccess};
+use serde::de::{Deserialize, Deserializer, MapAccess};
 
 use super::coordinates::WrittenCoordinates;
 use crate::annotate::features::{DrawnFeature, Geometry};
-use crate::annotate::is_blank;
-use crate::annotate::reading::{AnyJson, JsonScalar, Lenient, passed, skipped, value};
-
-/// A file has no more features than this.
-pub(super) const MOST_FEATURES: usize = 500_000;
+use crate::annotate::reading::{AnyJson, JsonScalar, Lenient, Listed, Member, skipped, value};
 
 /// A file: a collection, a feature or a geometry.
 #[derive(Debug, Default)]
@@ -19,7 +15,7 @@ pub struct GeoJsonFile {
     /// What it is, and as a bare geometry.
     pub(super) geometry: WrittenGeometry,
     /// As a collection.
-    pub(super) features: WrittenFeatures,
+    pub(super) features: Listed<WrittenFeature>,
     /// As a feature.
     pub(super) feature: WrittenFeature,
     pub(super) crs: ReferenceSystem,
@@ -72,37 +68,10 @@ impl Lenient for GeoJsonFile {
     }
 }
 
-/// The features of a collection.
-#[derive(Debug, Default)]
-pub(super) struct WrittenFeatures {
-    pub(super) is_list: bool,
-    /// The first of them, so many as there may be.
-    pub(super) first: Vec<WrittenFeature>,
-    pub(super) count: usize,
-}
-
-impl Lenient for WrittenFeatures {
-    fn list(&mut self) {
-        self.is_list = true;
-    }
-
-    fn element<'de, A: SeqAccess<'de>>(&mut self, list: &mut A) -> Result<Option<()>, A::Error> {
-        let found = match self.count < MOST_FEATURES {
-            true => {
-                let found = list.next_element::<AnyJson<WrittenFeature>>()?;
-                found.map(|AnyJson(feature)| self.first.push(feature))
-            }
-            false => passed(list)?,
-        };
-        self.count += usize::from(found.is_some());
-        Ok(found)
-    }
-}
-
 /// A feature as it stands in a file.
 #[derive(Debug, Default)]
 pub(super) struct WrittenFeature {
-    id: WordMember,
+    id: Member,
     properties: WrittenProperties,
     geometry: WrittenGeometry,
 }
@@ -134,15 +103,15 @@ impl WrittenFeature {
 
     /// Which one of a file it is, for people.
     pub(super) fn place(&self, number: usize) -> String {
-        match self.label() {
-            WordMember::Said(label) => format!("feature {number}, label {label}"),
-            _ => format!("feature {number}"),
+        match self.label().word() {
+            Some(label) => format!("feature {number}, label {label}"),
+            None => format!("feature {number}"),
         }
     }
 
     /// The label that it is: its property `label`, and only where it has no such property its `id`, which other programs
     /// make of the numbers of rows.
-    fn label(&self) -> &WordMember {
+    fn label(&self) -> &Member {
         self.properties.label.as_ref().unwrap_or(&self.id)
     }
 
@@ -154,13 +123,13 @@ impl WrittenFeature {
         let properties = self.properties;
         Ok(DrawnFeature {
             place,
-            label: properties.label.unwrap_or(self.id).said()?,
+            label: said(properties.label.as_ref().unwrap_or(&self.id))?,
             within_m: None,
-            kind: properties.kind.said()?,
+            kind: said(&properties.kind)?,
             category: None,
-            standing: properties.standing.said()?,
+            standing: said(&properties.standing)?,
             geometry: self.geometry.outline()?,
-            brush_px: properties.brush_px.0,
+            brush_px: properties.brush_px.number(),
             image: properties.image.key()?,
         })
     }
@@ -168,10 +137,10 @@ impl WrittenFeature {
 
 #[derive(Debug, Default)]
 struct WrittenProperties {
-    label: Option<WordMember>,
-    kind: WordMember,
-    standing: WordMember,
-    brush_px: NumberMember,
+    label: Option<Member>,
+    kind: Member,
+    standing: Member,
+    brush_px: Member,
     image: WrittenImage,
 }
 
@@ -193,73 +162,25 @@ impl Lenient for WrittenProperties {
     }
 }
 
-/// A text, or a number as text.
-#[derive(Debug, Default)]
-enum WordMember {
-    /// None, or a blank one.
-    #[default]
-    Nothing,
-    Said(String),
-    /// A list, an object, true or false.
-    NoWord,
-}
-
-impl Lenient for WordMember {
-    fn scalar(&mut self, scalar: JsonScalar<'_>) {
-        *self = match scalar {
-            JsonScalar::Text(text) if is_blank(text) => Self::Nothing,
-            JsonScalar::Text(text) => Self::Said(text.to_owned()),
-            JsonScalar::Number(number) => Self::Said(number.to_string()),
-            JsonScalar::Truth => Self::NoWord,
-        };
-    }
-
-    fn list(&mut self) {
-        *self = Self::NoWord;
-    }
-
-    fn object(&mut self) {
-        *self = Self::NoWord;
-    }
-}
-
-impl WordMember {
-    /// A text, where there is one.
-    ///
-    /// # Errors
-    /// In words, for what is there and is none: what it says is not known.
-    fn said(self) -> Result<Option<String>, &'static str> {
-        match self {
-            Self::Nothing => Ok(None),
-            Self::Said(text) => Ok(Some(text)),
-            Self::NoWord => Err("feature whose label, kind or standing is neither text nor number"),
+/// A text, where there is one.
+///
+/// # Errors
+/// In words, for what is there and is none: what it says is not known.
+fn said(member: &Member) -> Result<Option<String>, &'static str> {
+    match member {
+        Member::Truth(_) | Member::List | Member::Object => {
+            Err("feature whose label, kind or standing is neither text nor number")
         }
-    }
-}
-
-/// A number.
-#[derive(Debug, Default)]
-struct NumberMember(Option<f64>);
-
-impl Lenient for NumberMember {
-    fn scalar(&mut self, scalar: JsonScalar<'_>) {
-        if let JsonScalar::Number(number) = scalar {
-            self.0 = number.as_f64();
-        }
+        member => Ok(member.word()),
     }
 }
 
 /// Whole nanoseconds, which may be a text: JavaScript rounds such numbers.
-#[derive(Debug, Default)]
-struct InstantMember(Option<i64>);
-
-impl Lenient for InstantMember {
-    fn scalar(&mut self, scalar: JsonScalar<'_>) {
-        self.0 = match scalar {
-            JsonScalar::Number(number) => number.as_i64(),
-            JsonScalar::Text(text) => text.parse().ok(),
-            JsonScalar::Truth => None,
-        };
+fn instant(member: &Member) -> Option<i64> {
+    match member {
+        Member::Number(number) => number.as_i64(),
+        Member::Text(text) => text.parse().ok(),
+        _ => None,
     }
 }
 
@@ -267,9 +188,9 @@ impl Lenient for InstantMember {
 #[derive(Debug, Default)]
 struct WrittenImage {
     is_there: bool,
-    session: WordMember,
-    stamp: InstantMember,
-    camera: WordMember,
+    session: Member,
+    stamp: Member,
+    camera: Member,
 }
 
 impl Lenient for WrittenImage {
@@ -298,11 +219,13 @@ impl WrittenImage {
     /// # Errors
     /// In words, for half of one.
     fn key(self) -> Result<Option<ImageKey>, &'static str> {
-        match (self.session, self.stamp.0, self.camera) {
+        match (
+            self.session.word(),
+            instant(&self.stamp),
+            self.camera.word(),
+        ) {
             _ if !self.is_there => Ok(None),
-            (WordMember::Said(session), Some(stamp), WordMember::Said(camera)) => {
-                Ok(Some((session, Stamp(stamp), camera)))
-            }
+            (Some(session), Some(stamp), Some(camera)) => Ok(Some((session, Stamp(stamp), camera))),
             _ => Err("feature of an image without session, stamp (ns) and camera"),
         }
     }
@@ -312,7 +235,7 @@ impl WrittenImage {
 #[derive(Debug, Default)]
 pub(super) struct WrittenGeometry {
     is_there: bool,
-    pub(super) kind: TextMember,
+    pub(super) kind: Member,
     coordinates: WrittenCoordinates,
 }
 
@@ -342,20 +265,8 @@ impl WrittenGeometry {
     /// In words, for what is no outline.
     fn outline(self) -> Result<Option<Geometry>, &'static str> {
         match self.is_there {
-            true => self.coordinates.outline(self.kind.0.as_deref()).map(Some),
+            true => self.coordinates.outline(self.kind.text()).map(Some),
             false => Ok(None),
-        }
-    }
-}
-
-/// A text, if it is one.
-#[derive(Debug, Default)]
-pub(super) struct TextMember(pub(super) Option<String>);
-
-impl Lenient for TextMember {
-    fn scalar(&mut self, scalar: JsonScalar<'_>) {
-        if let JsonScalar::Text(text) = scalar {
-            self.0 = Some(text.to_owned());
         }
     }
 }
@@ -382,13 +293,13 @@ impl Lenient for ReferenceSystem {
 
 impl ReferenceSystem {
     pub(super) fn name(&self) -> Option<&str> {
-        self.properties.name.0.as_deref()
+        self.properties.name.text()
     }
 }
 
 #[derive(Debug, Default)]
 struct ReferenceProperties {
-    name: TextMember,
+    name: Member,
 }
 
 impl Lenient for ReferenceProperties {

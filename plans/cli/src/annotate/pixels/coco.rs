@@ -1,5 +1,7 @@
 //! Common Objects in Context.
 
+mod written;
+
 use std::collections::{BTreeSet, HashMap};
 
 use evermap_algorithms::ground::boxes::area;
@@ -7,32 +9,38 @@ use evermap_schemas::Fault;
 use serde_json::{Value, json};
 
 use super::described::{Canvas, DescribedPicture, OF_ANOTHER, which_are};
-use super::{
-    DrawnShape, NAME, NO_SHAPE, PictureAnnotations, Rectangle, Shape, degrees, kinds, listed,
-    numbers, written,
-};
-use crate::annotate::Losses;
-use crate::annotate::geojson::text;
+use super::{DrawnShape, NAME, PictureAnnotations, kinds};
 use crate::annotate::mosaic::Picture;
+use crate::annotate::reading::{AnyJson, Listed, Member};
+use crate::annotate::{Losses, no_json};
+use written::{CocoFile, WrittenAnnotation, WrittenPicture};
 
 /// The annotations of pictures: segmentations of one outline, else boxes, turned by `attributes.rotation` (degrees,
 /// clockwise, about their centre) as CVAT writes them.
 ///
 /// # Errors
-/// A user fault for a file without lists of pictures and annotations, annotations of other pictures alone, and pictures or
-/// categories that have an id in common.
+/// A user fault for a file without lists of pictures and annotations, or with too long ones, annotations of other pictures alone,
+/// and pictures or categories that have an id in common.
 pub(super) fn read(
-    value: &Value,
+    text: &str,
     canvases: &[Canvas],
     losses: &mut Losses,
 ) -> Result<PictureAnnotations, Fault> {
-    let list = |name: &str| listed(value, name)?.ok_or_else(|| lacking(name));
-    let (pictures, annotations) = (list("images")?, list("annotations")?);
-    let categories = listed(value, "categories")?.unwrap_or_default();
-    distinct("images", pictures, "file_name")?;
-    distinct("categories", categories, "name")?;
+    let read = serde_json::from_str::<AnyJson<CocoFile>>(text);
+    let AnyJson(file) = read.map_err(|error| no_json(&error))?;
+    let pictures = required(file.images, "images")?;
+    let annotations = required(file.annotations, "annotations")?;
+    let categories = file.categories.if_there("categories")?.unwrap_or_default();
+    distinct(
+        "images",
+        pictures.iter().map(|one| (&one.id, &one.file_name)),
+    )?;
+    distinct(
+        "categories",
+        categories.iter().map(|one| (&one.id, &one.name)),
+    )?;
     if pictures.is_empty() {
-        of_one(annotations)?;
+        of_one(&annotations)?;
     }
     let described: Vec<DescribedPicture> = pictures.iter().map(described).collect();
     let chosen = which_are(canvases, &described, losses)?;
@@ -41,30 +49,29 @@ pub(super) fn read(
         seen: chosen.iter().copied().flatten().collect(),
         unread: BTreeSet::new(),
     };
-    let known = by_id(pictures.iter().zip(chosen));
-    let names = by_id(categories.iter().map(|one| (one, text(&one["name"]))));
+    let known = by_id(pictures.iter().map(|one| &one.id).zip(chosen));
+    let names = by_id(categories.iter().map(|one| (&one.id, one.name.word())));
     // A file without pictures is of the only one that there is.
-    let picture_of = |id: &Value| match pictures {
-        [] => Some(0),
-        _ => known.get(id).copied().flatten(),
+    let picture_of = |id: &Member| match pictures.is_empty() {
+        true => Some(0),
+        false => known.get(id).copied().flatten(),
     };
     let mut may_be_of_any = false;
-    for (number, annotation) in annotations.iter().enumerate() {
+    for (number, annotation) in annotations.into_iter().enumerate() {
         let place = format!("annotation {number}");
-        let id = &annotation["image_id"];
+        let id = &annotation.image_id;
         let Some(at) = picture_of(id) else {
             losses.note(OF_ANOTHER, &place);
             may_be_of_any |= !known.contains_key(id);
             continue;
         };
-        let read = shape(annotation)
-            .and_then(|shape| Ok((shape, category(&names, &annotation["category_id"])?)));
-        match read {
+        let (name, is_coarse) = (annotation.name(), annotation.is_coarse());
+        let kind = category(&names, &annotation.category_id);
+        match annotation.shape().and_then(|shape| Ok((shape, kind?))) {
             Ok((shape, kind)) => {
-                if is_coarse(&annotation["segmentation"]) {
+                if is_coarse {
                     losses.note(BOX_OF, &place);
                 }
-                let name = text(&annotation["attributes"][NAME]);
                 let drawn = DrawnShape::said(place, kind, shape);
                 said.drawn.push(drawn.called(name).on(at));
             }
@@ -80,11 +87,19 @@ pub(super) fn read(
     Ok(said)
 }
 
+/// A list that a file must have.
+///
+/// # Errors
+/// A user fault where there is none, or too long a one.
+fn required<T>(list: Listed<T>, name: &str) -> Result<Vec<T>, Fault> {
+    list.if_there(name)?.ok_or_else(|| lacking(name))
+}
+
 /// What is known of each of a list, by its id; of those that have one in common, of the first.
-fn by_id<'v, T>(list: impl Iterator<Item = (&'v Value, T)>) -> HashMap<&'v Value, T> {
+fn by_id<'v, T>(list: impl Iterator<Item = (&'v Member, T)>) -> HashMap<&'v Member, T> {
     let mut known = HashMap::new();
-    for (one, what) in list {
-        known.entry(&one["id"]).or_insert(what);
+    for (id, what) in list {
+        known.entry(id).or_insert(what);
     }
     known
 }
@@ -101,9 +116,9 @@ fn lacking(name: &str) -> Fault {
 ///
 /// # Errors
 /// A user fault with two of the pictures.
-fn of_one(annotations: &[Value]) -> Result<(), Fault> {
+fn of_one(annotations: &[WrittenAnnotation]) -> Result<(), Fault> {
     let pairs = annotations.windows(2);
-    let mut pairs = pairs.map(|two| (&two[0]["image_id"], &two[1]["image_id"]));
+    let mut pairs = pairs.map(|two| (&two[0].image_id, &two[1].image_id));
     match pairs.find(|(one, other)| one != other) {
         None => Ok(()),
         Some((one, other)) => Err(Fault::user(format!(
@@ -118,10 +133,10 @@ fn of_one(annotations: &[Value]) -> Result<(), Fault> {
 /// # Errors
 /// In words, for a category that has no name.
 fn category(
-    names: &HashMap<&Value, Option<String>>,
-    id: &Value,
+    names: &HashMap<&Member, Option<String>>,
+    id: &Member,
 ) -> Result<Option<String>, &'static str> {
-    if id.is_null() {
+    if *id == Member::Nothing {
         return Ok(None);
     }
     let name = names.get(id).cloned().flatten();
@@ -132,28 +147,21 @@ fn category(
 /// What is told of an annotation whose outline is not taken.
 const BOX_OF: &str = "annotation of several outlines, or of a mask, taken as the box around it";
 
-/// Whether a segmentation is neither one outline nor none.
-fn is_coarse(segmentation: &Value) -> bool {
-    match segmentation {
-        Value::Array(outlines) => outlines.len() > 1,
-        Value::Object(_) => true,
-        _ => false,
-    }
-}
-
-/// That those of a list which have an id in common are one and the same: annotations say nothing else of them.
+/// That those of a list which have an id in common are one and the same, by the names that they have: annotations say nothing else
+/// of them.
 ///
 /// # Errors
 /// A user fault with what two of them are called.
-fn distinct(what: &str, list: &[Value], name: &str) -> Result<(), Fault> {
-    let mut first: HashMap<&Value, &Value> = HashMap::new();
-    for one in list {
-        let id = &one["id"];
-        let first = *first.entry(id).or_insert(one);
-        if first[name] != one[name] {
-            let (one, other) = (&first[name], &one[name]);
+fn distinct<'v>(
+    what: &str,
+    list: impl Iterator<Item = (&'v Member, &'v Member)>,
+) -> Result<(), Fault> {
+    let mut first: HashMap<&Member, &Member> = HashMap::new();
+    for (id, name) in list {
+        let known = *first.entry(id).or_insert(name);
+        if known != name {
             let fault = format!(
-                "expected an id of its own for each of {what}, found {id} of {one} and of {other}"
+                "expected an id of its own for each of {what}, found {id} of {known} and of {name}"
             );
             return Err(Fault::user(fault).next(
                 "number them anew: files that were put together each begin with the same ids",
@@ -163,33 +171,12 @@ fn distinct(what: &str, list: &[Value], name: &str) -> Result<(), Fault> {
     Ok(())
 }
 
-fn described(picture: &Value) -> DescribedPicture {
+fn described(picture: &WrittenPicture) -> DescribedPicture {
     DescribedPicture {
-        id: Some(picture["id"].to_string()),
-        name: text(&picture["file_name"]),
-        size: ["width", "height"].map(|name| written(&picture[name])),
+        id: Some(picture.id.to_string()),
+        name: picture.file_name.word(),
+        size: [&picture.width, &picture.height].map(Member::written),
     }
-}
-
-fn shape(annotation: &Value) -> Result<Shape, &'static str> {
-    let outlines = annotation["segmentation"].as_array().map(Vec::as_slice);
-    if let Some([outline]) = outlines {
-        return closed(outline).ok_or(NO_SHAPE);
-    }
-    let sides: Option<[f64; 4]> =
-        numbers(&annotation["bbox"]).and_then(|sides| sides.try_into().ok());
-    let [left, top, width, height] = sides.ok_or(NO_SHAPE)?;
-    let degrees = degrees(&annotation["attributes"]["rotation"])?;
-    let found = Rectangle::about_middle([left, top], [width, height], degrees);
-    Ok(Shape::Box(found))
-}
-
-fn closed(outline: &Value) -> Option<Shape> {
-    let numbers: Vec<f64> = numbers(outline)?;
-    let (pixels, []) = numbers.as_chunks::<2>() else {
-        return None;
-    };
-    Some(Shape::Closed(pixels.to_vec()))
 }
 
 /// Outlines, with the boxes around them.

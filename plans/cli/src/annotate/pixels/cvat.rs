@@ -161,6 +161,7 @@ pub(super) fn write(drawn: &[DrawnShape], picture: &Picture) -> String {
         let (tag, place) = match &drawn.shape {
             Shape::Box(found) => ("box", placed(found)),
             Shape::Closed(points) => ("polygon", listed(points)),
+            Shape::Around(corners) => ("polygon", listed(corners)),
             Shape::Open(points) => ("polyline", listed(points)),
         };
         let kind = escaped(drawn.kind.as_deref().unwrap_or_default());

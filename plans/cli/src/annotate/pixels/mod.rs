@@ -6,6 +6,7 @@ mod cvat;
 mod described;
 mod form;
 mod label_studio;
+mod outline;
 mod yolo;
 
 use std::collections::{BTreeMap, BTreeSet};
@@ -15,17 +16,16 @@ use clap::ValueEnum;
 use evermap_schemas::Fault;
 use evermap_schemas::layers::{BoxHypothesis, PlacedLabel};
 use evermap_schemas::roles::annotations::is_word;
-use serde_json::Value;
 
 pub(super) use boxes::{Boxes, PictureBox};
 pub(super) use described::Canvas;
 
 use form::JsonForm;
 
-use super::features::{DrawnFeature, Geometry};
+use super::features::{DrawnFeature, Geometry, TOO_MANY_POINTS};
 use super::mosaic::Picture;
-use super::reading::AnyJson;
-use super::{Losses, is_blank, no_json};
+use super::reading::{AnyJson, Member};
+use super::{Losses, is_blank};
 use crate::ending::Failure;
 use crate::scene::corners;
 
@@ -83,6 +83,13 @@ impl Program {
             size: picture.size,
         };
         let mut drawn = self.said(path, text, &[canvas], losses)?.drawn;
+        drawn.retain(|drawn| {
+            let is_long = matches!(drawn.shape, Shape::Around(_));
+            if is_long {
+                losses.note(TOO_MANY_POINTS, &drawn.place);
+            }
+            !is_long
+        });
         disown_copies(&mut drawn);
         Ok(drawn
             .into_iter()
@@ -97,11 +104,10 @@ impl Program {
         canvases: &[Canvas],
         losses: &mut Losses,
     ) -> Result<PictureAnnotations, Fault> {
-        let json = || serde_json::from_str(text).map_err(|error| no_json(&error));
         match self {
-            Self::Coco => coco::read(&json()?, canvases, losses),
+            Self::Coco => coco::read(text, canvases, losses),
             Self::Cvat => cvat::read(text, canvases, losses),
-            Self::LabelStudio => label_studio::read(&json()?, canvases, losses),
+            Self::LabelStudio => label_studio::read(text, canvases, losses),
             Self::YoloObb => {
                 let size = canvases.first().map(|canvas| canvas.size);
                 let size = size.unwrap_or_default();
@@ -160,7 +166,8 @@ impl Program {
             (Self::YoloObb, Shape::Closed(_)) => {
                 Some("polygon, which YOLO's oriented boxes are not")
             }
-            (Self::Cvat, Shape::Open(_)) | (_, Shape::Box(_) | Shape::Closed(_)) => None,
+            (Self::Cvat, Shape::Open(_))
+            | (_, Shape::Box(_) | Shape::Closed(_) | Shape::Around(_)) => None,
             (_, Shape::Open(_)) => Some("line, which the format has no form for"),
         }
     }
@@ -197,6 +204,8 @@ enum Shape {
     Box(Rectangle),
     /// Corners of an outline.
     Closed(Vec<Pixel>),
+    /// Corners of the box around an outline that has more of them than a label may have.
+    Around([Pixel; 4]),
     /// Points of a line.
     Open(Vec<Pixel>),
 }
@@ -273,6 +282,7 @@ impl Shape {
         match self {
             Self::Box(found) => found.corners().to_vec(),
             Self::Closed(points) | Self::Open(points) => points.clone(),
+            Self::Around(corners) => corners.to_vec(),
         }
     }
 
@@ -389,44 +399,14 @@ fn kinds(drawn: &[DrawnShape]) -> Vec<&str> {
     kinds.collect::<BTreeSet<&str>>().into_iter().collect()
 }
 
-fn numbers(value: &Value) -> Option<Vec<f64>> {
-    value.as_array()?.iter().map(Value::as_f64).collect()
-}
-
-/// The list of this name; `None` where there is none.
-///
-/// # Errors
-/// A user fault for what is no list: who reads nothing of it takes for gone what is there.
-fn listed<'v>(value: &'v Value, name: &str) -> Result<Option<&'v [Value]>, Fault> {
-    let found = match &value[name] {
-        Value::Null => return Ok(None),
-        Value::Array(list) => return Ok(Some(list)),
-        Value::Object(_) => "an object",
-        Value::String(_) => "a text",
-        Value::Number(_) => "a number",
-        Value::Bool(_) => "true or false",
-    };
-    let fault = format!("expected a list of {name}, found {found}");
-    Err(Fault::user(fault).next("export it from the program anew, as it writes it"))
-}
-
-/// A number, or what else is there, as the file has it; `None` where nothing is.
-fn written(value: &Value) -> Option<String> {
-    match value {
-        Value::Null => None,
-        Value::String(text) => Some(text.clone()),
-        other => Some(other.to_string()),
-    }
-}
-
 /// Degrees by which a shape is turned; 0 where nothing is said.
 ///
 /// # Errors
 /// In words, for what is no number: the shape lies otherwise than it would be read.
-fn degrees(value: &Value) -> Result<f64, &'static str> {
-    match value {
-        Value::Null => Ok(0.0),
-        value => value.as_f64().ok_or(TURNED),
+fn degrees(member: &Member) -> Result<f64, &'static str> {
+    match member {
+        Member::Nothing => Ok(0.0),
+        member => member.number().ok_or(TURNED),
     }
 }
 

@@ -1,9 +1,10 @@
 #![allow(clippy::unwrap_used)]
 use evermap_schemas::{Pose, Stamp, Wkb};
 use proptest::prelude::*;
-use serde_json::json;
+use serde_json::{Value, json};
 
 use super::*;
+use crate::annotate::reading::MOST_FEATURES;
 
 /// A picture of 400 × 300 px of 5 cm, whose upper left corner is at (10, 20) m.
 fn picture(folder: &Path) -> Picture {
@@ -714,6 +715,126 @@ fn a_file_without_pictures_has_annotations_of_one() {
     assert_eq!(told(&file(&[7, 7])).map(|(boxes, ..)| boxes), Ok(2));
     let said = told(&file(&[99, 7])).unwrap_err();
     assert!(said.contains("annotations of images 99 and 7"), "{said}");
+}
+
+/// Whatever else it has, and however long its lists are.
+#[test]
+fn a_file_of_too_many_annotations_is_refused() {
+    let many = |one: &str| vec![one; MOST_FEATURES + 1].join(",");
+    let found = "found 500001";
+    for (text, said) in [
+        (
+            format!(
+                r#"{{"images": [{{"file_name": "a.png"}}], "annotations": [{}]}}"#,
+                many("0")
+            ),
+            "expected at most 500000 annotations",
+        ),
+        (
+            format!(r#"{{"images": [{}], "annotations": []}}"#, many("0")),
+            "expected at most 500000 images",
+        ),
+        (
+            format!(
+                r#"{{"images": [], "annotations": [], "categories": [{}]}}"#,
+                many("0")
+            ),
+            "expected at most 500000 categories",
+        ),
+        (
+            format!("[{}]", many(r#"{"data":0}"#)),
+            "expected at most 500000 tasks",
+        ),
+        (
+            format!(
+                r#"[{{"data": {{}}, "annotations": [{{"result": [{}]}}]}}]"#,
+                many("0")
+            ),
+            "expected at most 500000 results",
+        ),
+        // Those of several annotations, in several lists, are counted together.
+        (
+            format!(
+                r#"[{{"completions": [{{"result": [0]}}], "annotations": [{{"result": [0]}}, {{"result": [{}]}}]}}]"#,
+                vec!["0"; MOST_FEATURES - 1].join(",")
+            ),
+            "expected at most 500000 results",
+        ),
+    ] {
+        let told = told(&text).unwrap_err();
+        assert!(told.contains(said) && told.contains(found), "{told}");
+    }
+}
+
+/// Of more corners than a label may have, none is held: on a mosaic it is counted, around a person it is a box all the same.
+#[test]
+fn an_outline_of_too_many_corners_is_the_box_around_it_or_counted() {
+    let folder = tempfile::tempdir().unwrap();
+    let picture = picture(folder.path());
+    // A zigzag from (10, 10) to (110, 60) px.
+    let corners = |count: usize| {
+        let corner = |at: usize| {
+            let share = at as f64 / (count - 1) as f64;
+            [
+                10.0 + 100.0 * share,
+                if at.is_multiple_of(2) { 10.0 } else { 60.0 },
+            ]
+        };
+        (0..count).map(corner).collect::<Vec<_>>()
+    };
+    let coco = |count: usize| {
+        let annotation = json!({ "image_id": 1, "segmentation": [corners(count).concat()] });
+        let images = json!([{ "id": 1, "file_name": "lot.png" }]);
+        json!({ "images": images, "annotations": [annotation] }).to_string()
+    };
+    let studio = |count: usize| {
+        let points = corners(count).into_iter().map(|[x, y]| [x / 4.0, y / 3.0]);
+        let value = json!({ "points": points.collect::<Vec<_>>() });
+        let result = json!({ "value": value, "type": "polygonlabels" });
+        let annotations = json!([{ "result": [result] }]);
+        json!([{ "data": { "image": "lot.png" }, "annotations": annotations }]).to_string()
+    };
+    let canvases = [Canvas {
+        name: "lot.png".into(),
+        size: [400, 300],
+    }];
+    for (program, text) in [
+        (Program::Coco, &coco as &dyn Fn(usize) -> String),
+        (Program::LabelStudio, &studio),
+    ] {
+        let path = Path::new("a.json");
+        for count in [4096, 4097] {
+            let (text, mut losses) = (text(count), Losses::default());
+            let found = program.boxes(path, &text, &canvases, &mut losses).unwrap();
+            let bounds = found.boxes[0].bounds.concat();
+            let expected = [10.0, 10.0, 110.0, 60.0];
+            let off = bounds.iter().zip(expected).map(|(a, b)| (a - b).abs());
+            assert!(off.fold(0.0, f64::max) < 1e-9, "{program:?}: {bounds:?}");
+            assert!(losses.counts.is_empty() && found.unread.is_empty());
+            let features = program.read(path, &text, &picture, &mut losses).unwrap();
+            let told = losses.counts.get(TOO_MANY_POINTS).copied();
+            let expected = if count > 4096 {
+                (0, Some(1))
+            } else {
+                (1, None)
+            };
+            assert_eq!((features.len(), told), expected, "{program:?}");
+        }
+    }
+}
+
+/// What a result is comes behind what it says, and what nobody looks for lies between.
+#[test]
+fn members_may_come_in_any_order() {
+    let studio = r#"[{"annotations": [{"result": [{"value": {"rectanglelabels": ["car"], "other": [[], {}],
+        "height": 3, "width": 5, "x": 1, "y": 2}, "type": "rectanglelabels", "meta": {"a": [1]}}],
+        "was_cancelled": false}], "data": {"notes": ["b.png"], "text": "x", "photo": "a.png"}}]"#;
+    assert_eq!(told(studio), Ok((1, true, false)));
+    let cancelled = studio.replace("false", "true");
+    assert_eq!(told(&cancelled), Ok((0, false, false)));
+    let coco = r#"{"annotations": [{"bbox": [1, 2, 3, 4], "image_id": "x", "category_id": 2, "segmentation": []}],
+        "categories": [{"name": "car", "id": 2}], "images": [{"file_name": "a.png", "id": "x"}]}"#;
+    assert_eq!(told(coco), Ok((1, true, false)));
 }
 
 fn of_kind(kind: &str, x: f64) -> PlacedLabel {
