@@ -116,7 +116,7 @@ impl Loss {
     }
 
     /// These too.
-    fn join(&mut self, more: Self) {
+    pub(crate) fn join(&mut self, more: Self) {
         self.count = self.count.saturating_add(more.count);
         self.bytes = self.bytes.saturating_add(more.bytes);
     }

@@ -40,6 +40,8 @@ pub(crate) struct Portions {
     channels: Vec<u16>,
     strays: Strays,
     lost: Loss,
+    /// Messages that do not decode, of all portions so far: they are told of the chunk.
+    undecodable: Loss,
     damaged: bool,
     ended: bool,
     pool: Option<Arc<dyn MemoryPool>>,
@@ -113,6 +115,7 @@ pub(crate) async fn begin(
         channels,
         strays: Strays::new(part, unit),
         lost: Loss::default(),
+        undecodable: Loss::default(),
         damaged: census.damage.is_some(),
         ended: false,
         pool,
@@ -126,6 +129,12 @@ pub(crate) async fn begin(
 }
 
 impl Portions {
+    /// What does not decode of the chunk so far, with these of the latest portion.
+    pub fn undecodable(&mut self, more: Loss) -> Loss {
+        self.undecodable.join(more);
+        self.undecodable
+    }
+
     /// The next portion; none at the end of the chunk. What of the chunk is no record, or not of the index, is noted
     /// then.
     ///

@@ -257,14 +257,18 @@ impl Worker {
         self.close(open);
     }
 
-    /// Notes what was lost in a unit, once it is done.
-    fn close(&self, open: OpenUnit) {
+    /// Notes what was lost in a unit, or up to the end of a portion of one, once it is done.
+    fn close(&mut self, open: OpenUnit) {
         if open.lost.count > 0 {
+            let lost = match &mut self.portions {
+                Some(portions) => portions.undecodable(open.lost),
+                None => open.lost,
+            };
             self.part.losses.note_topic(
                 Reason::Undecodable,
                 &self.topic,
                 open.unit.offset,
-                open.lost,
+                lost,
                 open.example,
             );
         }

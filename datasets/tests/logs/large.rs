@@ -185,3 +185,29 @@ async fn a_message_that_does_not_fit_into_memory_is_refused_with_its_size() {
     assert_eq!(refused.kind, Kind::Resource, "{refused}");
     assert!(refused.place.contains("a message of 94372"), "{refused}");
 }
+
+/// They are told of the chunk, by whose offset losses are told apart: those of one portion stood for all.
+#[tokio::test]
+async fn messages_of_a_large_chunk_that_do_not_decode_are_all_counted() {
+    let padding = "x".repeat(10_000);
+    let mut records = Vec::new();
+    let mut broken = 0;
+    for number in 0_u32.. {
+        if records.len() > LARGE {
+            break;
+        }
+        let is_broken = number % 3 == 0;
+        broken += u64::from(is_broken);
+        let end = if is_broken { "" } else { "}" };
+        let data = format!("{{\"n\":{number},\"text\":\"{padding}\"{end}");
+        records.extend(message_at(1, number, u64::from(number), data.as_bytes()));
+    }
+    let log = log(&records, "zstd", &Damage::None);
+    let whole = read(&log, Arc::new(UnboundedMemoryPool::default())).await;
+    let small = read(&log, Arc::new(GreedyMemoryPool::new(SMALL))).await;
+    let ((_, whole_rows, whole_lost), (_, small_rows, small_lost)) =
+        (whole.unwrap(), small.unwrap());
+    assert_eq!((&whole_lost, whole_rows), (&small_lost, small_rows));
+    let counted: Vec<u64> = whole_lost.iter().map(|(_, count, _)| *count).collect();
+    assert_eq!(counted, [broken], "{whole_lost:?}");
+}
