@@ -123,17 +123,19 @@ fn properties(batch: &RecordBatch) -> Result<Vec<Map<String, Value>>, Fault> {
 mod tests {
     #![allow(clippy::unwrap_used)]
     use super::*;
+    use evermap_engine::sql::Term;
     use evermap_schemas::layers::Intersection;
     use evermap_schemas::{LayerRow, batch};
+
+    use crate::export::geojson;
 
     const LOT: Head<'_> = Head {
         title: "places",
         on_earth: false,
     };
 
-    #[test]
-    fn features_have_shapes_and_properties() {
-        let row = Intersection {
+    fn crossing() -> Intersection {
+        Intersection {
             site: "lot".into(),
             node: 4,
             degree: 3,
@@ -142,8 +144,32 @@ mod tests {
             z: 0.5,
             sources: vec![],
             geometry: Wkb::point([1.0, 2.0, 0.5]),
+        }
+    }
+
+    /// What is written is no whole file then, and is not taken for one.
+    #[tokio::test]
+    async fn features_are_left_where_the_command_is_stopped() {
+        let rows = batch(vec![crossing()]).unwrap();
+        let (layer, earth, term) = (Intersection::layer(), Earth::default(), Term::default());
+        let write = || async {
+            let mut text = Vec::<u8>::new();
+            geojson(
+                vec![rows.clone()],
+                Some(&layer),
+                "places",
+                &earth,
+                &mut text,
+            )
         };
-        let rows = batch(vec![row.clone(), row]).unwrap();
+        assert!(term.of(write()).await.is_ok());
+        term.end();
+        assert!(term.of(write()).await.is_err());
+    }
+
+    #[test]
+    fn features_have_shapes_and_properties() {
+        let rows = batch(vec![crossing(), crossing()]).unwrap();
         let (mut text, earth) = (Vec::<u8>::new(), Earth::default());
         let layer = Intersection::layer();
         let begun = GeoJson::begin(LOT, Some(&layer), &earth, &mut text);

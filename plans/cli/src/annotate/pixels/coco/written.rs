@@ -158,7 +158,7 @@ impl Lenient for Attributes {
 struct Segmentation {
     is: Member,
     count: usize,
-    /// The first outline: of several, none is taken.
+    /// The first outline; of several, none is taken.
     first: FlatOutline,
 }
 
@@ -177,10 +177,7 @@ impl Lenient for Segmentation {
                 let found = list.next_element::<AnyJson<FlatOutline>>()?;
                 found.map(|AnyJson(outline)| self.first = outline)
             }
-            _ => {
-                self.first = FlatOutline::default();
-                passed(list)?
-            }
+            _ => passed(list)?,
         };
         self.count += usize::from(found.is_some());
         Ok(found)
