@@ -17,23 +17,8 @@ pub(super) const MOST_FEATURES: usize = 500_000;
 
 /// What is read of a value that may be anything: it begins as of `null`, and takes what it knows.
 pub(super) trait Lenient: Default {
-    /// That something is there, whatever it is.
-    fn found(&mut self) {}
-
-    /// What is no list and no object.
-    fn scalar(&mut self, _: JsonScalar<'_>) {
-        self.found();
-    }
-
-    /// That a list begins.
-    fn list(&mut self) {
-        self.found();
-    }
-
-    /// That an object begins.
-    fn object(&mut self) {
-        self.found();
-    }
+    /// What is there. Elements and members follow of a list and an object.
+    fn found(&mut self, _: JsonToken<'_>) {}
 
     /// The next element of a list; `None` behind its end.
     ///
@@ -52,11 +37,13 @@ pub(super) trait Lenient: Default {
     }
 }
 
-/// A text, a number, true or false.
-pub(super) enum JsonScalar<'a> {
+/// What a value is that is not `null`, before what is in it.
+pub(super) enum JsonToken<'a> {
     Truth(bool),
     Number(Number),
     Text(&'a str),
+    List,
+    Object,
 }
 
 /// Passes over the next element of a list; `None` behind its end.
@@ -122,8 +109,8 @@ impl<'de, R: Lenient> Deserialize<'de> for AnyJson<R> {
 struct LenientVisitor<R>(R);
 
 impl<R: Lenient> LenientVisitor<R> {
-    fn scalar(mut self, scalar: JsonScalar<'_>) -> R {
-        self.0.scalar(scalar);
+    fn found(mut self, token: JsonToken<'_>) -> R {
+        self.0.found(token);
         self.0
     }
 }
@@ -140,36 +127,36 @@ impl<'de, R: Lenient> Visitor<'de> for LenientVisitor<R> {
     }
 
     fn visit_bool<E>(self, truth: bool) -> Result<R, E> {
-        Ok(self.scalar(JsonScalar::Truth(truth)))
+        Ok(self.found(JsonToken::Truth(truth)))
     }
 
     fn visit_i64<E>(self, value: i64) -> Result<R, E> {
-        Ok(self.scalar(JsonScalar::Number(value.into())))
+        Ok(self.found(JsonToken::Number(value.into())))
     }
 
     fn visit_u64<E>(self, value: u64) -> Result<R, E> {
-        Ok(self.scalar(JsonScalar::Number(value.into())))
+        Ok(self.found(JsonToken::Number(value.into())))
     }
 
     fn visit_f64<E>(self, value: f64) -> Result<R, E> {
         Ok(match Number::from_f64(value) {
-            Some(number) => self.scalar(JsonScalar::Number(number)),
+            Some(number) => self.found(JsonToken::Number(number)),
             None => self.0,
         })
     }
 
     fn visit_str<E>(self, text: &str) -> Result<R, E> {
-        Ok(self.scalar(JsonScalar::Text(text)))
+        Ok(self.found(JsonToken::Text(text)))
     }
 
     fn visit_seq<A: SeqAccess<'de>>(mut self, mut list: A) -> Result<R, A::Error> {
-        self.0.list();
+        self.0.found(JsonToken::List);
         while self.0.element(&mut list)?.is_some() {}
         Ok(self.0)
     }
 
     fn visit_map<A: MapAccess<'de>>(mut self, mut object: A) -> Result<R, A::Error> {
-        self.0.object();
+        self.0.found(JsonToken::Object);
         while let Some(name) = object.next_key::<String>()? {
             self.0.member(&name, &mut object)?;
         }
@@ -190,20 +177,14 @@ pub(super) enum Member {
 }
 
 impl Lenient for Member {
-    fn scalar(&mut self, scalar: JsonScalar<'_>) {
-        *self = match scalar {
-            JsonScalar::Truth(truth) => Self::Truth(truth),
-            JsonScalar::Number(number) => Self::Number(number),
-            JsonScalar::Text(text) => Self::Text(text.to_owned()),
+    fn found(&mut self, token: JsonToken<'_>) {
+        *self = match token {
+            JsonToken::Truth(truth) => Self::Truth(truth),
+            JsonToken::Number(number) => Self::Number(number),
+            JsonToken::Text(text) => Self::Text(text.to_owned()),
+            JsonToken::List => Self::List,
+            JsonToken::Object => Self::Object,
         };
-    }
-
-    fn list(&mut self) {
-        *self = Self::List;
-    }
-
-    fn object(&mut self) {
-        *self = Self::Object;
     }
 }
 
@@ -294,16 +275,8 @@ impl<T> Default for Listed<T> {
 }
 
 impl<T: Lenient> Lenient for Listed<T> {
-    fn scalar(&mut self, scalar: JsonScalar<'_>) {
-        self.is.scalar(scalar);
-    }
-
-    fn list(&mut self) {
-        self.is.list();
-    }
-
-    fn object(&mut self) {
-        self.is.object();
+    fn found(&mut self, token: JsonToken<'_>) {
+        self.is.found(token);
     }
 
     fn element<'de, A: SeqAccess<'de>>(&mut self, list: &mut A) -> Result<Option<()>, A::Error> {

@@ -11,7 +11,7 @@ use std::path::Path;
 use arrow::array::RecordBatch;
 use arrow::datatypes::SchemaRef;
 use clap::ValueEnum;
-use evermap_engine::nodes::weight::bytes;
+use evermap_engine::nodes::weight::{self, weight};
 use evermap_schemas::{Fault, LayerRow, batch};
 use futures::{Stream, StreamExt};
 
@@ -177,21 +177,8 @@ pub fn pieces(batch: RecordBatch) -> Vec<RecordBatch> {
     if bytes <= LIGHT_BYTES || all <= 1 {
         return vec![batch];
     }
-    let (mut pieces, mut start, mut held) = (Vec::new(), 0, 0);
-    for row in 0..all {
-        let more = weight(&batch.slice(row, 1));
-        if row > start && held + more > LIGHT_BYTES {
-            pieces.push(batch.slice(start, row - start));
-            (start, held) = (row, 0);
-        }
-        held += more;
-    }
-    pieces.push(batch.slice(start, all - start));
-    pieces
-}
-
-fn weight(batch: &RecordBatch) -> usize {
-    batch.columns().iter().map(|column| bytes(column)).sum()
+    let rows = (0..all).map(|row| weight(&batch.slice(row, 1)) as u64);
+    weight::pieces(&batch, rows, LIGHT_BYTES as u64)
 }
 
 /// Writes typed rows to standard output, whole.

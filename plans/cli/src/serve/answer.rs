@@ -9,7 +9,7 @@ use arrow::datatypes::SchemaRef;
 use datafusion::execution::memory_pool::{MemoryConsumer, MemoryPool, MemoryReservation};
 use evermap_engine::error::{OrFault, fault_of};
 use evermap_engine::map::columns::of_answer;
-use evermap_engine::nodes::weight::bytes;
+use evermap_engine::nodes::weight::weight;
 use evermap_engine::sql::{Term, read_only};
 use evermap_schemas::Fault;
 use futures::future::ready;
@@ -48,7 +48,7 @@ impl Size {
     pub fn of(batch: &RecordBatch) -> Self {
         Self {
             rows: batch.num_rows(),
-            bytes: batch.columns().iter().map(|column| bytes(column)).sum(),
+            bytes: weight(batch),
         }
     }
 

@@ -44,7 +44,7 @@ use self::joined::light_join;
 use crate::locked::locked;
 use crate::nodes::node::{Duty, Node, first};
 use crate::nodes::spared::spared;
-use crate::nodes::weight::bytes;
+use crate::nodes::weight::weight;
 
 /// Bytes of a batch that is sorted, unless it is of a single row.
 const SORTED_BYTES: usize = 1 << 20;
@@ -225,7 +225,7 @@ fn with_batch_rows(context: &TaskContext, rows: usize) -> Arc<TaskContext> {
 
 /// Rows like those of a batch that have [`SORTED_BYTES`] together.
 fn light_rows(batch: &RecordBatch) -> usize {
-    let bytes: usize = batch.columns().iter().map(|column| bytes(column)).sum();
+    let bytes = weight(batch);
     let row_bytes = bytes / batch.num_rows().max(1);
     (SORTED_BYTES / row_bytes.max(1)).max(1)
 }

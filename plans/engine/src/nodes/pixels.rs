@@ -23,6 +23,7 @@ use crate::error::{OrFault, external};
 use crate::locked::locked;
 use crate::nodes::node::{Duty, Need, Node, first};
 use crate::nodes::raw::as_file;
+use crate::nodes::weight::pieces;
 
 /// Encoded image bytes that one batch may carry: bounds memory, whatever the batch size.
 const SLICE_BYTES: u64 = 8 << 20;
@@ -132,20 +133,13 @@ impl Fetcher {
     /// The batch cut so that no piece carries more than a few megabytes of images.
     fn slices(&self, batch: &RecordBatch) -> Result<Vec<RecordBatch>, Fault> {
         let images = references(batch, &self.fetching.column)?;
-        let (mut pieces, mut start, mut held) = (Vec::new(), 0, 0);
-        for (row, image) in images.into_iter().enumerate() {
-            let length = image.map_or(0, |image| match Codec::named(&image.format) {
+        let lengths = images.into_iter().map(|image| {
+            image.map_or(0, |image| match Codec::named(&image.format) {
                 Some(_) => VIDEO_BYTES,
                 None => image.length,
-            });
-            if held > 0 && held + length > SLICE_BYTES {
-                pieces.push(batch.slice(start, row - start));
-                (start, held) = (row, 0);
-            }
-            held += length;
-        }
-        pieces.push(batch.slice(start, batch.num_rows() - start));
-        Ok(pieces)
+            })
+        });
+        Ok(pieces(batch, lengths, SLICE_BYTES))
     }
 
     /// The batch with the images beside it; what cannot be fetched is null and counted. Where there is no reference, there is

@@ -1,6 +1,6 @@
-//! How heavy the values of a column are.
+//! How heavy the values of columns and batches are, and batches cut by what their rows weigh.
 
-use arrow::array::{Array, AsArray, GenericListArray, OffsetSizeTrait};
+use arrow::array::{Array, AsArray, GenericListArray, OffsetSizeTrait, RecordBatch};
 use arrow::datatypes::DataType;
 
 /// Bytes of the values of a column, of which it may be a slice: what lies beside it in its buffers is not counted.
@@ -36,6 +36,30 @@ fn bytes_of_lists<O: OffsetSizeTrait>(lists: &GenericListArray<O>) -> usize {
     let offsets = lists.value_offsets();
     let (first, last) = (offsets[0].as_usize(), offsets[lists.len()].as_usize());
     size_of_val(offsets) + bytes(&lists.values().slice(first, last - first))
+}
+
+/// Bytes of the values of a batch, as [`bytes`] counts them.
+pub fn weight(batch: &RecordBatch) -> usize {
+    batch.columns().iter().map(|column| bytes(column)).sum()
+}
+
+/// A batch cut into pieces of rows that weigh at most so much together, or of one row with what weighs nothing around it. `rows`
+/// says what each weighs.
+pub fn pieces(
+    batch: &RecordBatch,
+    rows: impl IntoIterator<Item = u64>,
+    most: u64,
+) -> Vec<RecordBatch> {
+    let (mut pieces, mut start, mut held) = (Vec::new(), 0, 0);
+    for (row, more) in rows.into_iter().enumerate() {
+        if held > 0 && held + more > most {
+            pieces.push(batch.slice(start, row - start));
+            (start, held) = (row, 0);
+        }
+        held += more;
+    }
+    pieces.push(batch.slice(start, batch.num_rows() - start));
+    pieces
 }
 
 #[cfg(test)]

@@ -3,7 +3,7 @@
 use serde::de::SeqAccess;
 
 use crate::annotate::features::{Geometry, Point};
-use crate::annotate::reading::{AnyJson, JsonScalar, Lenient, OutlinePoints};
+use crate::annotate::reading::{AnyJson, JsonToken, Lenient, OutlinePoints};
 use crate::export::ON_EARTH;
 
 /// Why a list is no line.
@@ -35,16 +35,13 @@ pub(super) struct CoordinateList {
 }
 
 impl Lenient for WrittenCoordinates {
-    fn scalar(&mut self, scalar: JsonScalar<'_>) {
-        *self = match scalar {
-            JsonScalar::Number(number) => number.as_f64().map_or(Self::Other, Self::Number),
-            JsonScalar::Text(text) if text == ON_EARTH => Self::OnEarth,
-            JsonScalar::Text(_) | JsonScalar::Truth(_) => Self::Other,
+    fn found(&mut self, token: JsonToken<'_>) {
+        *self = match token {
+            JsonToken::Number(number) => number.as_f64().map_or(Self::Other, Self::Number),
+            JsonToken::Text(text) if text == ON_EARTH => Self::OnEarth,
+            JsonToken::List => Self::List(CoordinateList::default()),
+            JsonToken::Text(_) | JsonToken::Truth(_) | JsonToken::Object => Self::Other,
         };
-    }
-
-    fn list(&mut self) {
-        *self = Self::List(CoordinateList::default());
     }
 
     fn element<'de, A: SeqAccess<'de>>(&mut self, list: &mut A) -> Result<Option<()>, A::Error> {

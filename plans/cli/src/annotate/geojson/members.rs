@@ -6,7 +6,7 @@ use serde::de::{Deserialize, Deserializer, MapAccess};
 
 use super::coordinates::WrittenCoordinates;
 use crate::annotate::features::{DrawnFeature, Geometry};
-use crate::annotate::reading::{AnyJson, JsonScalar, Lenient, Listed, Member, skipped, value};
+use crate::annotate::reading::{AnyJson, JsonToken, Lenient, Listed, Member, skipped, value};
 
 /// A file: a collection, a feature or a geometry.
 #[derive(Debug, Default)]
@@ -40,16 +40,8 @@ impl<'de> Deserialize<'de> for GeoJsonFile {
 }
 
 impl Lenient for GeoJsonFile {
-    fn scalar(&mut self, scalar: JsonScalar<'_>) {
-        self.geometry.scalar(scalar);
-    }
-
-    fn list(&mut self) {
-        self.geometry.list();
-    }
-
-    fn object(&mut self) {
-        self.geometry.object();
+    fn found(&mut self, token: JsonToken<'_>) {
+        self.geometry.found(token);
     }
 
     fn member<'de, A: MapAccess<'de>>(
@@ -194,7 +186,7 @@ struct WrittenImage {
 }
 
 impl Lenient for WrittenImage {
-    fn found(&mut self) {
+    fn found(&mut self, _: JsonToken<'_>) {
         self.is_there = true;
     }
 
@@ -240,7 +232,7 @@ pub(super) struct WrittenGeometry {
 }
 
 impl Lenient for WrittenGeometry {
-    fn found(&mut self) {
+    fn found(&mut self, _: JsonToken<'_>) {
         self.is_there = true;
     }
 

@@ -2,7 +2,7 @@
 
 use serde::de::MapAccess;
 
-use crate::annotate::reading::{Lenient, skipped};
+use crate::annotate::reading::{JsonToken, Lenient, skipped};
 
 /// What JSON is.
 #[derive(Debug, Default)]
@@ -18,12 +18,12 @@ pub(super) enum JsonForm {
 }
 
 impl Lenient for JsonForm {
-    fn list(&mut self) {
-        *self = Self::List;
-    }
-
-    fn object(&mut self) {
-        *self = Self::Object { has_images: false };
+    fn found(&mut self, token: JsonToken<'_>) {
+        *self = match token {
+            JsonToken::List => Self::List,
+            JsonToken::Object => Self::Object { has_images: false },
+            JsonToken::Truth(_) | JsonToken::Number(_) | JsonToken::Text(_) => Self::Other,
+        };
     }
 
     fn member<'de, A: MapAccess<'de>>(

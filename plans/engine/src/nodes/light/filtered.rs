@@ -23,7 +23,7 @@ use datafusion::physical_plan::{
 use futures::{TryStreamExt, stream};
 
 use crate::nodes::node::{Duty, Node, first};
-use crate::nodes::weight::bytes;
+use crate::nodes::weight::weight;
 
 /// Bytes that are put together; heavier batches are handed on as they are.
 const GATHERED_BYTES: usize = 1 << 20;
@@ -304,7 +304,7 @@ impl Rows {
     }
 
     fn add(&mut self, batch: RecordBatch) -> Result<()> {
-        let weight: usize = batch.columns().iter().map(|column| bytes(column)).sum();
+        let weight = weight(&batch);
         if weight >= GATHERED_BYTES {
             self.flush()?;
             self.ready.push_back(batch);

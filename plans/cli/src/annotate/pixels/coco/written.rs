@@ -4,7 +4,9 @@ use serde::de::{MapAccess, SeqAccess};
 
 use crate::annotate::pixels::outline::{Numbers, PixelOutline};
 use crate::annotate::pixels::{NAME, NO_SHAPE, Rectangle, Shape, degrees};
-use crate::annotate::reading::{AnyJson, Lenient, Listed, Member, passed, skipped, value};
+use crate::annotate::reading::{
+    AnyJson, JsonToken, Lenient, Listed, Member, passed, skipped, value,
+};
 
 /// A file.
 #[derive(Debug, Default)]
@@ -163,12 +165,8 @@ struct Segmentation {
 }
 
 impl Lenient for Segmentation {
-    fn list(&mut self) {
-        self.is.list();
-    }
-
-    fn object(&mut self) {
-        self.is.object();
+    fn found(&mut self, token: JsonToken<'_>) {
+        self.is.found(token);
     }
 
     fn element<'de, A: SeqAccess<'de>>(&mut self, list: &mut A) -> Result<Option<()>, A::Error> {
@@ -194,8 +192,8 @@ struct FlatOutline {
 }
 
 impl Lenient for FlatOutline {
-    fn list(&mut self) {
-        self.is_list = true;
+    fn found(&mut self, token: JsonToken<'_>) {
+        self.is_list = matches!(token, JsonToken::List);
     }
 
     fn element<'de, A: SeqAccess<'de>>(&mut self, list: &mut A) -> Result<Option<()>, A::Error> {

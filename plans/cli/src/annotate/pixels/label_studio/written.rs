@@ -4,7 +4,7 @@ use serde::de::{MapAccess, SeqAccess};
 
 use crate::annotate::pixels::outline::{Numbers, PixelOutline};
 use crate::annotate::reading::{
-    AnyJson, JsonScalar, Lenient, Listed, MOST_FEATURES, Member, passed, skipped, value,
+    AnyJson, JsonToken, Lenient, Listed, MOST_FEATURES, Member, passed, skipped, value,
 };
 
 /// Texts of a task's data that are looked through for the name of its picture.
@@ -79,16 +79,8 @@ pub(super) struct WrittenAnnotations {
 }
 
 impl Lenient for WrittenAnnotations {
-    fn scalar(&mut self, scalar: JsonScalar<'_>) {
-        self.is.scalar(scalar);
-    }
-
-    fn list(&mut self) {
-        self.is.list();
-    }
-
-    fn object(&mut self) {
-        self.is.object();
+    fn found(&mut self, token: JsonToken<'_>) {
+        self.is.found(token);
     }
 
     fn element<'de, A: SeqAccess<'de>>(&mut self, list: &mut A) -> Result<Option<()>, A::Error> {
@@ -225,16 +217,8 @@ pub(super) struct WrittenLabels {
 }
 
 impl Lenient for WrittenLabels {
-    fn scalar(&mut self, scalar: JsonScalar<'_>) {
-        self.is.scalar(scalar);
-    }
-
-    fn list(&mut self) {
-        self.is.list();
-    }
-
-    fn object(&mut self) {
-        self.is.object();
+    fn found(&mut self, token: JsonToken<'_>) {
+        self.is.found(token);
     }
 
     fn element<'de, A: SeqAccess<'de>>(&mut self, list: &mut A) -> Result<Option<()>, A::Error> {
@@ -258,8 +242,8 @@ pub(super) struct WrittenPoints {
 }
 
 impl Lenient for WrittenPoints {
-    fn list(&mut self) {
-        self.is_list = true;
+    fn found(&mut self, token: JsonToken<'_>) {
+        self.is_list = matches!(token, JsonToken::List);
     }
 
     fn element<'de, A: SeqAccess<'de>>(&mut self, list: &mut A) -> Result<Option<()>, A::Error> {
