@@ -19,7 +19,8 @@ use crate::temporary::Spills;
 /// Memory for operators that spill, in equal shares, and for those that do not, first come, first served; as
 /// DataFusion's `FairSpillPool`, but for a part that only small reservations may take. A sort needs a little memory that
 /// cannot spill, to merge what it spills, and asks for it time and again while rows arrive; by then the shares of other
-/// sorts, or one that merges as many files as it finds memory for, may have taken all there is.
+/// sorts, or one that merges as many files as it finds memory for, may have taken all there is. Nor may that one leave a sort
+/// in another partition, where rows still arrive, no room for the next of them.
 #[derive(Debug)]
 pub struct SharedPool {
     bytes: usize,
@@ -27,6 +28,8 @@ pub struct SharedPool {
     held: usize,
     /// Bytes of a small reservation at most.
     small: usize,
+    /// Bytes that large reservations which cannot spill leave to operators that spill, as long as there are any.
+    left: usize,
     used: Mutex<Used>,
 }
 
@@ -57,6 +60,7 @@ impl SharedPool {
             bytes,
             held: bytes / 4,
             small: bytes / (4 * partitions.max(1)),
+            left: bytes / 8,
             used: Mutex::default(),
         }
     }
@@ -76,7 +80,11 @@ impl SharedPool {
         }
         let free = self.bytes.saturating_sub(used.spillable + used.unspillable);
         let small = free.min(self.small.saturating_sub(size));
-        small.max(free.saturating_sub(self.held))
+        let left = match used.spillers {
+            0 => 0,
+            _ => self.left.saturating_sub(used.spillable),
+        };
+        small.max(free.saturating_sub(self.held + left))
     }
 }
 
@@ -178,6 +186,22 @@ mod tests {
         assert_eq!(pool.reserved(), 60);
         drop((merge, greedy));
         assert_eq!(pool.reserved(), 0);
+    }
+
+    /// One partition's rows are all there, and are merged, while another's arrive.
+    #[test]
+    fn who_merges_all_that_it_can_leaves_room_to_a_sort_beside_it() {
+        let pool: Arc<dyn MemoryPool> = Arc::new(SharedPool::new(160, 2));
+        let [sort, other] = ["sort", "other"].map(|name| {
+            let consumer = MemoryConsumer::new(name).with_can_spill(true);
+            consumer.register(&pool)
+        });
+        let merge = MemoryConsumer::new("merge").register(&pool);
+        while merge.try_grow(1).is_ok() {}
+        assert_eq!(merge.size(), 100);
+        sort.try_grow(20).unwrap();
+        drop((sort, other));
+        merge.try_grow(20).unwrap();
     }
 
     #[test]
