@@ -38,7 +38,7 @@ fn bytes_of_lists<O: OffsetSizeTrait>(lists: &GenericListArray<O>) -> usize {
     size_of_val(offsets) + bytes(&lists.values().slice(first, last - first))
 }
 
-/// Bytes of the values of a batch, as [`bytes`] counts them.
+/// Bytes of the values of a batch, as [`bytes()`] counts them.
 pub fn weight(batch: &RecordBatch) -> usize {
     batch.columns().iter().map(|column| bytes(column)).sum()
 }
