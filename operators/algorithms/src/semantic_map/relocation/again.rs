@@ -9,7 +9,7 @@ use std::collections::BinaryHeap;
 
 use super::description::Description;
 use super::level::{Level, RankedHit};
-use super::tree::Tree;
+use super::tree::{Pair, Tree};
 use super::view_map::{Best, Hit, Query, ViewMap};
 use crate::processor::vectorised;
 
@@ -64,8 +64,8 @@ impl Again<'_> {
                 bounds.of_all(query, |of_turns| {
                     let most = of_turns
                         .iter()
-                        .fold(0, |most: u32, of_turn| most.max(*of_turn));
-                    views.push((most, Reverse(view)));
+                        .fold(0, |most: u16, of_turn| most.max(*of_turn));
+                    views.push((bounds.most(most), Reverse(view)));
                     view += 1;
                 });
             },
@@ -111,8 +111,8 @@ impl Again<'_> {
         let pair = large.pair(&self.query.large, view, bounded.turn)?;
         let turn = pair.fitted_turn(large.grown(&pair, tree));
         let pair = self.level.pair(self.all, view, turn)?;
-        let turn = pair.fitted_turn(self.level.grown(&pair, tree));
-        let pair = self.level.pair(self.all, view, turn)?;
-        Some(self.level.found(pair, view, tree))
+        let turn = pair.fitted_turn(self.level.grown_first(&pair, tree));
+        let pair = Pair { turn, ..pair };
+        Some(self.level.found_beside(&pair, view, tree))
     }
 }

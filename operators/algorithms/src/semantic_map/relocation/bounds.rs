@@ -3,7 +3,7 @@
 //! What speaks for two areas is computed once for all headings, as only their bearings depend on one.
 
 use super::description::{AreaCode, Areas, Block, Description, LANES, Measure, NO_CLASS};
-use super::headings::Headings;
+use super::headings::{Headings, RoundedWeight};
 use super::tree::Pair;
 
 /// Views whose sums are kept in the processor's cache together.
@@ -65,27 +65,32 @@ impl Bounds {
     }
 
     /// Tells a bound for each heading of one view after the other. It is no less than [`Bounds::of_pair`], as it counts all
-    /// areas that an area of the query is like, not only the one most like it.
+    /// areas that an area of the query is like, not only the one most like it; [`Bounds::most`] says what it is.
     #[inline(always)]
-    pub(super) fn of_all(&self, query: &Description, mut tell: impl FnMut(&[u32])) {
-        let (row, granted) = (self.headings.row(), query.weight() * self.floor);
+    pub(super) fn of_all(&self, query: &Description, mut tell: impl FnMut(&[u16])) {
+        let row = self.headings.row();
+        let granted = self.headings.rounded(query.weight() * self.floor);
         let mut sums = Vec::new();
         for tile in &self.tiles {
             sums.clear();
             sums.resize(tile.number * row, granted);
             for (area, weight) in query.weights.iter().enumerate() {
-                let code = query.areas.at(area);
+                let (code, weight) = (query.areas.at(area), RoundedWeight::new(*weight));
                 for range in tile.ranges(&code, self.measure.limit).into_iter().flatten() {
-                    self.add(tile, range, &code, *weight, &mut sums);
+                    self.add(tile, range, &code, &weight, &mut sums);
                 }
             }
             for view in 0..tile.number {
                 let row = &mut sums[view * row..][..row];
-                // What is granted once more with the headings that are there again.
-                let join = |a: u32, b: u32| a.saturating_add(b - granted);
-                tell(self.headings.closed(row, join));
+                tell(self.headings.closed(row, |a, b| joined(a, b, granted)));
             }
         }
+    }
+
+    /// What a bound that was told is.
+    #[inline(always)]
+    pub(super) fn most(&self, told: u16) -> u32 {
+        self.headings.most(told)
     }
 
     /// Adds what speaks for areas in a range to the sums of their views.
@@ -95,8 +100,8 @@ impl Bounds {
         tile: &Tile,
         range: std::ops::Range<usize>,
         code: &AreaCode,
-        weight: u32,
-        sums: &mut [u32],
+        weight: &RoundedWeight,
+        sums: &mut [u16],
     ) {
         let row = self.headings.row();
         let blocks = range.start / LANES..range.end.div_ceil(LANES);
@@ -108,7 +113,7 @@ impl Bounds {
             seen.keep(range.start.saturating_sub(first), range.end - first);
             while let Some((lane, pair)) = seen.pop() {
                 let sums = &mut sums[usize::from(views[lane]) * row..][..row];
-                self.headings.join(pair, weight, sums, u32::saturating_add);
+                self.headings.add(pair, weight, sums);
             }
         }
     }
@@ -153,6 +158,14 @@ impl Bounds {
         }
         sums
     }
+}
+
+/// The sum of a heading and that of the same one at the row's end, in which all that is granted is once more. The largest
+/// number stands for any beyond.
+#[inline(always)]
+fn joined(sum: u16, again: u16, granted: u16) -> u16 {
+    let both = sum.saturating_add(again - granted);
+    if again == u16::MAX { again } else { both }
 }
 
 /// An area of the query beside those of a block.

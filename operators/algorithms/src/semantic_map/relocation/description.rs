@@ -180,6 +180,12 @@ impl Measure {
         let near = u16::from(turn <= self.max_bearing).wrapping_neg();
         likeness.saturating_sub(share(turn, self.bearing)) & near
     }
+
+    /// The difference of bearings that are `apart`, in units.
+    #[inline(always)]
+    pub(super) fn bearings(&self, apart: u16) -> u16 {
+        share(apart.min(apart.wrapping_neg()), self.bearing)
+    }
 }
 
 /// A share of `2^16`.

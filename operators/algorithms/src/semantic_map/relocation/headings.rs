@@ -17,6 +17,17 @@ pub(super) struct Headings {
     /// Difference of bearing in units from one heading to the next, rounded down.
     step: u16,
     measure: Measure,
+    /// Evidence has so many bits less than sixteen.
+    spare_bits: u32,
+}
+
+/// What evidence weighs, halved, so that sums fit 16 bits: see [`Headings::rounded`].
+pub(super) struct RoundedWeight(u16);
+
+impl RoundedWeight {
+    pub(super) fn new(weight: u32) -> Self {
+        Self(u16::try_from(weight.div_ceil(2)).unwrap_or(u16::MAX))
+    }
 }
 
 impl Headings {
@@ -42,6 +53,58 @@ impl Headings {
             reach,
             step,
             measure,
+            spare_bits: measure.limit.leading_zeros().min(15),
+        }
+    }
+
+    /// How many bits are left out of sums that are rounded up.
+    fn bits(&self) -> u32 {
+        17 - self.spare_bits
+    }
+
+    /// A sum rounded up to 16 bits. The largest number is also any beyond.
+    pub(super) fn rounded(&self, sum: u32) -> u16 {
+        u16::try_from(sum.div_ceil(1 << self.bits())).unwrap_or(u16::MAX)
+    }
+
+    /// What a sum that was rounded up is no higher than.
+    #[inline(always)]
+    pub(super) fn most(&self, rounded: u16) -> u32 {
+        let most = u64::from(rounded) << self.bits();
+        if rounded == u16::MAX {
+            u32::MAX
+        } else {
+            u32::try_from(most).unwrap_or(u32::MAX)
+        }
+    }
+
+    /// Adds the evidence of two areas to a row of sums, rounded up.
+    #[inline(always)]
+    pub(super) fn add(
+        &self,
+        [likeness, apart]: [u16; 2],
+        RoundedWeight(weight): &RoundedWeight,
+        row: &mut [u16],
+    ) {
+        let (measure, bits, weight) = (self.measure, self.spare_bits, *weight);
+        let mut at = self.first(apart);
+        let end = at + self.reach;
+        // Not in chunks, several of which would be shuffled into one vector, and with copies, which nothing else can change.
+        while at < end {
+            let turns = self.turns[at..].first_chunk::<TOGETHER>();
+            let Some((turns, sums)) = turns.zip(row[at..].first_chunk_mut::<TOGETHER>()) else {
+                return;
+            };
+            let evidence = turns.map(
+                #[inline(always)]
+                |turn| measure.at_bearing(likeness, apart.wrapping_sub(turn)) << bits,
+            );
+            let mut joined = *sums;
+            for (sum, evidence) in joined.iter_mut().zip(evidence) {
+                *sum = sum.saturating_add(share(evidence, weight) + 1);
+            }
+            *sums = joined;
+            at += TOGETHER;
         }
     }
 
@@ -100,11 +163,11 @@ impl Headings {
 
     /// A row's numbers, one for each heading.
     #[inline(always)]
-    pub(super) fn closed<'a>(
+    pub(super) fn closed<'a, T: Copy>(
         &self,
-        row: &'a mut [u32],
-        join: impl Fn(u32, u32) -> u32,
-    ) -> &'a [u32] {
+        row: &'a mut [T],
+        join: impl Fn(T, T) -> T,
+    ) -> &'a [T] {
         let (closed, again) = row.split_at_mut(self.number);
         if self.reach < self.number {
             for (closed, again) in closed.iter_mut().zip(again) {

@@ -2,12 +2,12 @@
 
 use std::cmp::Reverse;
 
-use pulp::{Arch, Simd, WithSimd};
-
+use super::alike::SLACK;
 use super::description::{Areas, Description, LANES, Measure, order_in_map};
 use super::fused::ApartAreas;
 use super::options::Options;
 use super::tree::{Constraints, Interpretation, Pair, Tree};
+use crate::processor::vectorised;
 use crate::semantic_map::semantic_graph::Graph;
 
 /// The areas of all views down to some size.
@@ -25,7 +25,6 @@ pub(super) struct Level {
     starts: Vec<u32>,
     /// All areas as they are, where two may be one of a query's.
     apart: Option<ApartAreas>,
-    arch: Arch,
 }
 
 /// The blocks of a view that have areas of a class.
@@ -79,7 +78,6 @@ impl Level {
             spans: all_spans,
             starts,
             apart,
-            arch: Arch::new(),
         }
     }
 
@@ -104,14 +102,41 @@ impl Level {
         })
     }
 
+    /// What is matched at the pair's turn.
     pub(super) fn grown<'a>(&self, pair: &Pair<'_>, tree: &'a mut Tree) -> &'a Interpretation {
-        let rules = &self.rules;
-        self.arch.dispatch(Growing { pair, rules, tree })
+        self.find(pair, tree, 0);
+        tree.grow(pair, &self.rules)
     }
 
-    pub(super) fn found(&self, pair: Pair<'_>, view: u32, tree: &mut Tree) -> RankedHit {
-        let grown = self.grown(&pair, tree);
+    /// The same where [`Level::found_beside`] follows.
+    pub(super) fn grown_first<'a>(
+        &self,
+        pair: &Pair<'_>,
+        tree: &'a mut Tree,
+    ) -> &'a Interpretation {
+        self.find(pair, tree, SLACK);
+        tree.grow(pair, &self.rules)
+    }
+
+    pub(super) fn found(&self, pair: &Pair<'_>, view: u32, tree: &mut Tree) -> RankedHit {
+        self.find(pair, tree, 0);
+        self.found_beside(pair, view, tree)
+    }
+
+    /// What is found of a pair that the tree has grown of, at another turn.
+    pub(super) fn found_beside(&self, pair: &Pair<'_>, view: u32, tree: &mut Tree) -> RankedHit {
+        if !tree.knows(pair.turn, &self.rules) {
+            self.find(pair, tree, 0);
+        }
+        let grown = tree.grow(pair, &self.rules);
         RankedHit::new(grown.evidence, grown.pairs.len() as u32, view, pair.turn)
+    }
+
+    fn find(&self, pair: &Pair<'_>, tree: &mut Tree, slack: u16) {
+        vectorised(
+            #[inline(always)]
+            || tree.find(pair, &self.rules, slack),
+        );
     }
 }
 
@@ -139,21 +164,5 @@ impl RankedHit {
 
     pub(super) fn matched(&self) -> u32 {
         self.rank.1.0
-    }
-}
-
-/// What is compiled for the widest registers there are.
-struct Growing<'a, 'b> {
-    pair: &'b Pair<'b>,
-    rules: &'b Constraints,
-    tree: &'a mut Tree,
-}
-
-impl<'a> WithSimd for Growing<'a, '_> {
-    type Output = &'a Interpretation;
-
-    #[inline(always)]
-    fn with_simd<S: Simd>(self, _: S) -> Self::Output {
-        self.tree.grow(self.pair, self.rules)
     }
 }

@@ -12,6 +12,7 @@
 //! own tree, which counts matches, is [`TreeKind::Interpretation`].
 
 mod again;
+mod alike;
 mod bounds;
 mod calibration;
 mod class_index;

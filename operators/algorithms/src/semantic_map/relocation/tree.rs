@@ -4,7 +4,8 @@ use std::cmp::Reverse;
 use std::f32::consts::TAU;
 use std::ops::Range;
 
-use super::description::{AreaCode, Areas, Block, Description, LANES, Measure, UNIT};
+use super::alike::AlikeAreas;
+use super::description::{AreaCode, Areas, Description, LANES, Measure, UNIT};
 use super::fused::ApartAreas;
 use super::level::Span;
 use super::options::{Options, divisor};
@@ -22,10 +23,10 @@ pub(super) struct Interpretation {
 /// The tree's memory, used again and again.
 #[derive(Debug, Clone, Default)]
 pub(super) struct Tree {
-    /// What an area of the query could be, for each area of the other view that may have its class.
-    row: Vec<[u16; LANES]>,
+    /// What is like the areas of the query.
+    alike: AlikeAreas,
     /// By area of the other view: all bits set while it is not matched.
-    free: Vec<[u16; LANES]>,
+    free: Vec<u16>,
     /// By area of the query: its match.
     partners: Vec<Option<u16>>,
     found: Interpretation,
@@ -108,25 +109,29 @@ impl Constraints {
 }
 
 impl Tree {
+    /// Finds what the pair's areas could be, at its turn and at those beside it.
+    #[inline(always)]
+    pub(super) fn find(&mut self, pair: &Pair<'_>, rules: &Constraints, slack: u16) {
+        self.alike.find(pair, &rules.measure, slack);
+    }
+
+    /// Whether what the tree has found of a view is all that there is at a turn.
+    pub(super) fn knows(&self, turn: u16, rules: &Constraints) -> bool {
+        self.alike.are_all(turn, &rules.measure)
+    }
+
     /// Matches the query's areas, the largest first: each with the area of the view that speaks most for it, of those that
     /// are not matched and fit all matches before (paper 2, Algorithm 1).
-    #[inline(always)]
     pub(super) fn grow(&mut self, pair: &Pair<'_>, rules: &Constraints) -> &Interpretation {
         self.found.pairs.clear();
         self.found.evidence = 0;
         self.partners.clear();
         self.partners.resize(pair.query.areas.len(), None);
         self.free.clear();
-        self.free.resize(pair.blocks.len(), [u16::MAX; LANES]);
+        self.free.resize(pair.blocks.len() * LANES, u16::MAX);
         for area in 0..pair.query.areas.len() {
-            let mut code = pair.query.areas.at(area);
-            code.bearing = code.bearing.wrapping_add(pair.turn);
-            let like = pair.like(&code);
-            let first = like.start - pair.blocks.start;
-            let blocks = &pair.map.areas.blocks[like];
-            let mut most = self.compare(&code, blocks, first, &rules.measure);
-            while let Some((at, evidence)) = best(&self.row, most) {
-                let other = first * LANES + at;
+            let mut tried = u32::MAX;
+            while let Some((key, other, evidence)) = self.next(area, pair.turn, rules, tried) {
                 if self.fits(pair, rules, area, other) {
                     let weight = pair.query.weights[area];
                     self.take(area, other, u32::from(evidence) * weight);
@@ -135,39 +140,38 @@ impl Tree {
                     }
                     break;
                 }
-                self.row[at / LANES][at % LANES] = 0;
-                most = highest(&self.row);
+                tried = key;
             }
         }
         &self.found
     }
 
-    /// Fills the row with some blocks of the view, from its `first` on: 0 for areas that are matched.
+    /// Of the areas that are not matched the one that speaks most for an area of the query, of equal ones the first; of those
+    /// after what was tried.
     #[inline(always)]
-    fn compare(
-        &mut self,
-        code: &AreaCode,
-        blocks: &[Block],
-        first: usize,
-        measure: &Measure,
-    ) -> u16 {
-        self.row.clear();
-        let mut most = [0; LANES];
-        for (block, free) in blocks.iter().zip(&self.free[first..]) {
-            let mut evidence = measure.evidence(code, block);
-            for (evidence, free) in evidence.iter_mut().zip(free) {
-                *evidence &= free;
+    fn next(
+        &self,
+        area: usize,
+        turn: u16,
+        rules: &Constraints,
+        tried: u32,
+    ) -> Option<(u32, usize, u16)> {
+        let mut best = 0;
+        for alike in self.alike.of(area) {
+            let apart = alike.apart.wrapping_add(turn);
+            let evidence = rules.measure.at_bearing(alike.likeness, apart);
+            let evidence = evidence & self.free[usize::from(alike.area)];
+            let key = u32::from(evidence) << 16 | u32::from(!alike.area);
+            if key < tried {
+                best = best.max(key);
             }
-            for (most, evidence) in most.iter_mut().zip(&evidence) {
-                *most = (*most).max(*evidence);
-            }
-            self.row.push(evidence);
         }
-        most.into_iter().fold(0, u16::max)
+        let (evidence, other) = ((best >> 16) as u16, !(best as u16));
+        (evidence > 0).then_some((best, usize::from(other), evidence))
     }
 
     fn take(&mut self, area: usize, other: usize, evidence: u32) {
-        self.free[other / LANES][other % LANES] = 0;
+        self.free[other] = 0;
         self.partners[area] = Some(other as u16);
         self.found.pairs.push([area as u16, other as u16]);
         self.found.evidence += evidence;
@@ -188,7 +192,7 @@ impl Tree {
         let like = pair.like(&code);
         let first = (like.start - pair.blocks.start) * LANES;
         let end = (like.end - pair.blocks.start) * LANES;
-        let free = |at: &usize| self.free[at / LANES][at % LANES] != 0;
+        let free = |at: &usize| self.free[*at] != 0;
         let view = pair.blocks.start * LANES;
         let joined = |at: usize| {
             let both = apart.joined(view + other, view + at)?;
@@ -202,7 +206,7 @@ impl Tree {
             .filter(|(evidence, at)| *evidence > alone && self.fits(pair, rules, area, *at))
             .max_by_key(|(evidence, at)| (*evidence, Reverse(*at)));
         if let Some((evidence, at)) = best {
-            self.free[at / LANES][at % LANES] = 0;
+            self.free[at] = 0;
             self.found.evidence += u32::from(evidence - alone) * pair.query.weights[area];
         }
     }
@@ -225,7 +229,9 @@ impl Tree {
                 let Some(partner) = self.partners[usize::from(*neighbour)] else {
                     return true;
                 };
-                let touching = theirs.iter().find(|(at, _)| *at == partner);
+                // Neighbours are in order.
+                let touching = theirs.get(theirs.partition_point(|(at, _)| *at < partner));
+                let touching = touching.filter(|(at, _)| *at == partner);
                 touching.is_none_or(|(_, other)| (length - other).abs() <= most)
             })
     }
@@ -268,41 +274,4 @@ impl Tree {
             apart.min(8 - apart) <= rules.direction_steps
         })
     }
-}
-
-/// The most evidence.
-#[inline(always)]
-fn highest(row: &[[u16; LANES]]) -> u16 {
-    let mut most = [0; LANES];
-    for evidence in row {
-        for (most, evidence) in most.iter_mut().zip(evidence) {
-            *most = (*most).max(*evidence);
-        }
-    }
-    most.into_iter().fold(0, u16::max)
-}
-
-/// The first area with the most evidence, which is given.
-#[inline(always)]
-fn best(row: &[[u16; LANES]], most: u16) -> Option<(usize, u16)> {
-    if most == 0 {
-        return None;
-    }
-    for (block, evidence) in row.iter().enumerate() {
-        let lanes = lanes(evidence, most);
-        if lanes != 0 {
-            return Some((block * LANES + lanes.trailing_zeros() as usize, most));
-        }
-    }
-    None
-}
-
-/// The lanes with this much evidence: a bit each.
-#[inline(always)]
-fn lanes(row: &[u16; LANES], evidence: u16) -> u16 {
-    let mut bits = [0; LANES];
-    for (lane, bit) in bits.iter_mut().enumerate() {
-        *bit = u16::from(row[lane] == evidence).wrapping_neg() & (1 << lane);
-    }
-    bits.iter().fold(0, |lanes, bit| lanes | bit)
 }

@@ -192,7 +192,9 @@ impl ViewMap {
         vectorised(
             #[inline(always)]
             || {
-                let tell = |of_turns: &[u32]| bounds.extend_from_slice(of_turns);
+                let tell = |of_turns: &[u16]| {
+                    bounds.extend(of_turns.iter().map(|told| self.bounds.most(*told)));
+                };
                 self.bounds.of_all(&query.large, tell);
             },
         );
@@ -216,7 +218,7 @@ impl ViewMap {
 
     fn found(&self, query: &Query, view: u32, turn: u16, tree: &mut Tree) -> Option<RankedHit> {
         let pair = self.large.pair(&query.large, view, turn)?;
-        Some(self.large.found(pair, view, tree))
+        Some(self.large.found(&pair, view, tree))
     }
 
     fn hit(&self, query: &Query, found: &RankedHit) -> Hit {
