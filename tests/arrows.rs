@@ -732,6 +732,46 @@ fn kernels_have_no_files_no_clock_and_no_threads_of_their_own() {
     }
 }
 
+/// Whether a text declares something of this kind and of just this name.
+fn declares(text: &str, kind: &str, name: &str) -> bool {
+    let declaration = format!("{kind} {name}");
+    let mut after = text.split(declaration.as_str()).skip(1);
+    after.any(|rest| !rest.starts_with(|c: char| c == '_' || c.is_alphanumeric()))
+}
+
+/// Where proptest looks for the cases that failed once: beside the folder of `main.rs` or `lib.rs`.
+#[test]
+fn every_case_that_failed_once_is_tried_again() {
+    let mut found = 0;
+    for path in files(&root(), "txt") {
+        let text = path.to_str().unwrap();
+        let Some((beside, source)) = text.split_once("/proptest-regressions/") else {
+            continue;
+        };
+        let source = source.replace(".txt", ".rs");
+        let folders = std::fs::read_dir(beside).unwrap();
+        let folders = folders.map(|folder| folder.unwrap().path());
+        let mut folders = folders.filter(|folder| {
+            let has = |name: &str| folder.join(name).is_file();
+            has("lib.rs") || has("main.rs")
+        });
+        assert!(
+            folders.any(|folder| folder.join(&source).is_file()),
+            "there is no {source} beside {text}"
+        );
+        found += 1;
+    }
+    assert!(found > 3, "{found}");
+    for path in files(&root(), "proptest-regressions") {
+        assert!(path.with_extension("rs").is_file(), "{}", path.display());
+        let folder = path.parent().unwrap();
+        let is_root = ["lib.rs", "main.rs"]
+            .iter()
+            .any(|name| folder.join(name).is_file());
+        assert!(!is_root, "{} is looked for elsewhere", path.display());
+    }
+}
+
 #[test]
 fn the_walks_lead_through_what_there_is() {
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("..");
@@ -748,7 +788,7 @@ fn the_walks_lead_through_what_there_is() {
             continue;
         };
         let text = std::fs::read_to_string(root.join(file)).unwrap();
-        let place = |kind: &str| text.contains(&format!("{kind} {name}"));
+        let place = |kind: &str| declares(&text, kind, name);
         assert!(place("fn") || place("struct"), "{file} has no {name}");
         if number == 1 {
             lengths.push(0);
@@ -770,14 +810,9 @@ fn the_types_of_the_glossary_are_declared_where_it_says() {
     };
     let texts: Vec<(String, String)> = texts.map(|(path, text)| (place(&path), text)).collect();
     let is_declared = |folder: &str, name: &str| {
-        let declares = |kind: &str, text: &str| {
-            let declaration = format!("pub {kind} {name}");
-            let mut after = text.split(declaration.as_str()).skip(1);
-            after.any(|rest| !rest.starts_with(|c: char| c == '_' || c.is_alphanumeric()))
-        };
-        let kinds = ["struct", "enum", "type", "trait"];
+        let kinds = ["pub struct", "pub enum", "pub type", "pub trait"];
         texts.iter().any(|(place, text)| {
-            place.contains(folder) && kinds.iter().any(|kind| declares(kind, text))
+            place.contains(folder) && kinds.iter().any(|kind| declares(text, kind, name))
         })
     };
     let page = std::fs::read_to_string(root().join("docs/ARCHITECTURE.md")).unwrap();

@@ -787,7 +787,7 @@ fn boxes_drawn_on_a_mosaic_are_where_they_were_drawn() {
     );
     assert!(
         said.stderr
-            .contains("1  annotation that is neither box nor outline"),
+            .contains("1  annotation that is neither box, outline nor line"),
         "{}",
         said.stderr
     );

@@ -1,7 +1,7 @@
 //! Every text that the program can say, in one file: `tests/messages.txt`. A new or changed message shows there in a
 //! review, beside those that say similar things. `EVERMAP_BLESS=1 cargo test --test end_to_end messages` rewrites it.
 //!
-//! Plain English, short and exact: "expected …, found …". See the README's rule for names, and the golden file for tone.
+//! Plain English, short and exact: "expected …, found …".
 
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};

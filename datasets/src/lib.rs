@@ -31,7 +31,8 @@ mod yaml;
 pub use dataset::Dataset;
 pub use evermap_messages::ros2;
 pub use evermap_recording::{
-    Goes, LogWriter, Times, annotations, parent, recorder_of, unfinished_file,
+    Goes, LogWriter, Times, annotations, finish_folder, parent, recorder_of, unfinished_file,
+    unfinished_folder,
 };
 pub use images::ImageReader;
 pub use losses::{Loss, LossLedger, Reason};

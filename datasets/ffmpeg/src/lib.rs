@@ -10,7 +10,7 @@ mod stream;
 
 pub use encoder::{Encoder, Samples, Style};
 pub use serve::serve;
-pub use stream::{LARGEST_PICTURE, Picture, Stream};
+pub use stream::{Picture, Stream};
 
 use evermap_video::Codec;
 use ffmpeg_next::codec::Id;

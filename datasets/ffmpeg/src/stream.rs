@@ -9,7 +9,7 @@ use ffmpeg_next::{Dictionary, Error, Packet, codec, decoder, frame};
 use crate::{id, prepare};
 
 /// Pixels of the largest picture that is decoded: the most that any level of H.264 and H.265 allows (6.2).
-pub const LARGEST_PICTURE: u64 = 35_651_584;
+const LARGEST_PICTURE: u64 = 35_651_584;
 
 /// Decodes the frames of one stream in order, from a key frame on, in the caller's thread: equal bytes give equal
 /// pictures.

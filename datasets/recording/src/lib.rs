@@ -16,7 +16,7 @@ use std::path::{Path, PathBuf};
 use partial::Partial;
 
 pub use recorder::recorder_of;
-pub use unfinished::{Goes, parent, unfinished_file, unfinished_folder};
+pub use unfinished::{Goes, finish_folder, parent, unfinished_file, unfinished_folder};
 
 /// How recorders of ROS 2 say that the topic's only message is for all who come later too.
 const LATCHED: (&str, &str) = (

@@ -30,6 +30,17 @@ pub fn unfinished_folder(folder: &Path) -> Result<TempDir> {
     builder(0o777).tempdir_in(folder)
 }
 
+/// Gives a folder its name, which nothing may have.
+///
+/// # Errors
+/// What the system says.
+pub fn finish_folder(unfinished: TempDir, name: &Path) -> Result<()> {
+    std::fs::rename(unfinished.path(), name)?;
+    // There is nothing to be removed under its old name.
+    let _ = unfinished.keep();
+    Ok(())
+}
+
 /// What makes them, with rights as those of other files: the system takes away those that the user has excluded.
 fn builder(rights: u32) -> Builder<'static, 'static> {
     let mut builder = Builder::new();

@@ -28,6 +28,5 @@ pub use error::WorldError;
 pub use evermap_recording::RecordingError;
 pub use record::{Progress, SessionSummary, Stopped, Summary};
 pub use street::{
-    LabelKind, LabelView, STREET_CLASSES, STREET_COLOURS, Street, StreetLabels, street,
-    street_labels,
+    LabelKind, LabelView, STREET_CLASSES, Street, StreetLabels, street, street_labels,
 };

@@ -14,6 +14,7 @@ pub use evermap_vision::{Rgb, decode_colour, image_size};
 pub use inputs::boxes::{mosaic, tile_gradients};
 pub use inputs::drive::rigs;
 pub use inputs::labels as annotated;
+pub use inputs::masks::{ALL_CAMERAS, MASK};
 pub use inputs::painting as painted;
 pub use inputs::people::{ANSWERED_M, PERSON};
 pub use inputs::rig::{Footing, OfVehicle, USUAL_VEHICLE, VehicleFrame, footing};

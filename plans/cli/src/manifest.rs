@@ -5,13 +5,13 @@ use std::path::Path;
 
 use askama::Template;
 use datafusion::prelude::SessionContext;
+use evermap_catalog::MASK;
 use evermap_contract::Registry;
 use evermap_datasets::{Dataset, Session};
 use evermap_language::wrapped;
 use evermap_schemas::{Fault, roles};
 
 use crate::coordinate_frames::{CoordinateFrames, image_size};
-use crate::masks::MASK;
 use crate::operators;
 
 /// Parameters that are about the vehicle and not about a plan, each with an example where its default is none.

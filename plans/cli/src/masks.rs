@@ -2,6 +2,7 @@
 
 use std::collections::BTreeSet;
 
+use evermap_catalog::{ALL_CAMERAS, MASK};
 use evermap_datasets::Dataset;
 use evermap_engine::program::Program;
 use evermap_engine::sql::{Limits, context};
@@ -12,15 +13,11 @@ use serde_json::Value;
 
 use crate::coordinate_frames::{IMAGES, cameras_of};
 
-/// The parameter of operators that has a mask for each camera, and what stands for all cameras.
-pub(crate) const MASK: &str = "mask";
-const ALL: &str = "*";
-
 /// The cameras that the masks of a program are for, by name.
 pub fn masked(program: &Program) -> BTreeSet<&str> {
     let given = program.given(MASK).filter_map(Value::as_object);
     let cameras = given.flat_map(|masks| masks.keys().map(String::as_str));
-    cameras.filter(|camera| *camera != ALL).collect()
+    cameras.filter(|camera| *camera != ALL_CAMERAS).collect()
 }
 
 /// That masks are for cameras that none of the sessions has, and which there are; `None` where all are, or nobody knows

@@ -2,7 +2,7 @@
 
 use super::SimulatedSession;
 use crate::WorldError;
-use evermap_recording::unfinished_folder;
+use evermap_recording::{finish_folder, unfinished_folder};
 use serde_json::Value;
 use std::fmt::Write as _;
 use std::fs;
@@ -65,9 +65,8 @@ impl Folder {
     /// Gives it its name, in place of an older one.
     pub fn finish(self) -> Result<PathBuf, WorldError> {
         remove(&self.done)?;
-        fs::rename(self.path(), &self.done).map_err(|error| WorldError::io(&self.done, error))?;
-        // There is nothing to be removed under its old name.
-        let _ = self.part.keep();
+        let finished = finish_folder(self.part, &self.done);
+        finished.map_err(|error| WorldError::io(&self.done, error))?;
         Ok(self.done)
     }
 }

@@ -24,7 +24,7 @@ mod truth;
 mod views;
 mod visit;
 
-pub use classes::{STREET_CLASSES, STREET_COLOURS};
+pub use classes::STREET_CLASSES;
 pub use params::Street;
 pub use views::{LabelKind, LabelView, StreetLabels, street_labels};
 

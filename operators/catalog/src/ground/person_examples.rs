@@ -197,11 +197,11 @@ fn example(
     meant: &[Option<Person>],
 ) -> Result<PersonExample, Reason> {
     let Some((Some(one), later)) = meant.split_first() else {
-        return Err("label of nobody whom its image shows".into());
+        return Err("label that matches no person found in its image".into());
     };
     let same = |other: &Person| other.position == one.position;
     if later.iter().flatten().any(same) {
-        return Err("label of a person of whom more was said later".into());
+        return Err("label replaced by a later one of the same person".into());
     }
     if !["drawn", "accepted", REJECTED].contains(&answer.standing.as_str()) {
         return Err("label was neither drawn nor accepted nor rejected".into());

@@ -20,9 +20,10 @@ pub struct Masks {
     pub mask: BTreeMap<String, Mask>,
 }
 
-/// The parameter.
-const MASK: &str = "mask";
-const ALL: &str = "*";
+/// The parameter of operators that has a mask for each camera.
+pub const MASK: &str = "mask";
+/// What stands for all cameras that no mask names.
+pub const ALL_CAMERAS: &str = "*";
 
 /// The mask of a camera.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -199,7 +200,9 @@ impl CameraMasks {
 
     /// What is drawn for a camera; `None` where nothing is.
     pub(crate) fn of(&self, camera: &str) -> Option<&Blind> {
-        self.0.get(frame(camera)).or_else(|| self.0.get(ALL))
+        self.0
+            .get(frame(camera))
+            .or_else(|| self.0.get(ALL_CAMERAS))
     }
 }
 

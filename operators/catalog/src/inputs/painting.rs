@@ -36,7 +36,7 @@ pub fn lying<'a>(acts: &'a [ImageAnnotation], tell: Tell<'_>) -> Vec<&'a ImageAn
         "paint that contradicts another person's; the later holds".into(),
         folded.conflicts,
     );
-    tell("paint removed that nobody had laid".into(), folded.strays);
+    tell("removal of paint that does not exist".into(), folded.strays);
     let labels = folded.labels.into_values();
     let mut found: Vec<_> = labels.filter_map(|label| acts.get(label.place)).collect();
     let order = |act: &&ImageAnnotation| {

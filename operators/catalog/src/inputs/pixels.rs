@@ -4,8 +4,9 @@ use evermap_algorithms::learning::dense_crf::ColourView;
 use evermap_algorithms::semantic_map::class_scores::ScoresView;
 use evermap_algorithms::semantic_map::semantic_graph::MOST_CLASSES;
 use evermap_contract::Reason;
+use evermap_schemas::Bytes;
 use evermap_schemas::layers::{ClassScores, LabelImage};
-use evermap_vision::{ImageError, Rgb, decode_colour, decode_labels};
+use evermap_vision::{Grey, ImageError, Rgb, decode_colour, decode_labels, encode_png};
 
 use crate::inputs::rig::frame;
 
@@ -39,13 +40,36 @@ pub(crate) fn labels(row: &LabelImage) -> Result<Vec<u8>, Reason> {
     values(&row.png.0, [row.width, row.height])
 }
 
-/// The values of an image of labels, of this size.
+/// The values of an image of labels, whose row says this size.
 pub(crate) fn values(png: &[u8], size: [u32; 2]) -> Result<Vec<u8>, Reason> {
-    let labels = decode_labels(png).map_err(|_| "label image does not decode")?;
+    values_of(png, size, "label image has another size than its row says")
+}
+
+/// The values of the labels of an image of this size.
+pub(crate) fn values_on_image(png: &[u8], size: [u32; 2]) -> Result<Vec<u8>, Reason> {
+    values_of(png, size, "label image has another size than its image")
+}
+
+fn values_of(png: &[u8], size: [u32; 2], other: &'static str) -> Result<Vec<u8>, Reason> {
+    let labels = decode_labels(png).map_err(|_| NO_LABELS)?;
     match [labels.width, labels.height] == size {
         true => Ok(labels.data),
-        false => Err("label image has another size than its row says".into()),
+        false => Err(other.into()),
     }
+}
+
+/// Why labels are left out that are no image.
+pub(crate) const NO_LABELS: &str = "label image does not decode";
+
+/// Values as the image that layers have.
+pub(crate) fn label_image([width, height]: [u32; 2], data: Vec<u8>) -> Result<Bytes, Reason> {
+    let image = Grey {
+        width,
+        height,
+        data,
+    };
+    let png = encode_png(&image).map_err(|_| "label image does not encode")?;
+    Ok(Bytes(png))
 }
 
 /// Why a label image with more than [`MOST_CLASSES`] is left out.

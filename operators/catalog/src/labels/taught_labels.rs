@@ -7,10 +7,10 @@ use evermap_contract::{Emit, Fault, NothingToChoose, Operator, Pixels, Port, Rea
 use evermap_schemas::layers::LabelImage;
 use evermap_schemas::roles::ImageAnnotation;
 use evermap_schemas::{Bytes, ImageRef, Stamp, record};
-use evermap_vision::{Grey, decode_grey, decode_labels, encode_png};
+use evermap_vision::{Grey, decode_grey};
 
 use crate::inputs::painting::{ImageKey, by_image, lying, paint};
-use crate::inputs::pixels::{left_out, undecoded};
+use crate::inputs::pixels::{label_image, left_out, undecoded, values_on_image};
 
 /// See the module's page.
 pub struct TaughtLabels;
@@ -106,12 +106,11 @@ impl Canvas {
                 labels: Grey { data, ..*room },
             });
         };
-        let labels = decode_labels(&png.0).map_err(|_| "labels do not decode")?;
-        if [labels.width, labels.height] != [room.width, room.height] {
-            return Err("labels are of another size than the image".into());
-        }
-        let classes = classes.clone();
-        Ok(Self { classes, labels })
+        let data = values_on_image(&png.0, [room.width, room.height])?;
+        Ok(Self {
+            classes: classes.clone(),
+            labels: Grey { data, ..*room },
+        })
     }
 
     /// Lays paint over paint; what cannot be painted is counted.
@@ -146,16 +145,16 @@ impl Canvas {
     }
 
     fn row(self, frame: PaintedFrame) -> Result<LabelImage, Reason> {
-        let png = encode_png(&self.labels).map_err(|_| "labels do not encode")?;
+        let (width, height) = (self.labels.width, self.labels.height);
         Ok(LabelImage {
             site: frame.site,
             session: frame.session,
             stamp: frame.stamp,
             camera: frame.camera,
-            width: self.labels.width,
-            height: self.labels.height,
+            width,
+            height,
             classes: self.classes,
-            png: Bytes(png),
+            png: label_image([width, height], self.labels.data)?,
         })
     }
 }

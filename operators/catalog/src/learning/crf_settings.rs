@@ -9,12 +9,12 @@ use evermap_contract::{
     Emit, Fault, Key, Operator, Pixels, Port, Reach, Reason, Sides, Stream, Work,
 };
 use evermap_schemas::layers::{CrfSetting, LabelledScores};
-use evermap_vision::{Rgb, decode_labels};
+use evermap_vision::Rgb;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::inputs::lenses::{self, Lenses};
-use crate::inputs::pixels::{colours, undecoded};
+use crate::inputs::pixels::{colours, undecoded, values};
 
 /// See the module's page.
 pub struct CrfSettings;
@@ -136,13 +136,13 @@ impl Encoded {
         colours(bytes, &mut rgb, || {
             undecoded(&scores.camera, &scores.image.format)
         })?;
-        let mut truth = decode_labels(&scores.png.0).map_err(|_| "labels do not decode")?;
+        let mut truth = values(&scores.png.0, size)?;
         let table = renumbered(&scores.label_classes, classes);
-        for value in &mut truth.data {
+        for value in &mut truth {
             *value = table[usize::from(*value)];
         }
-        if [rgb.width, rgb.height] != size || [truth.width, truth.height] != size {
-            return Err("image, labels and scores are not of one size".into());
+        if [rgb.width, rgb.height] != size {
+            return Err("image has another size than its scores".into());
         }
         let taken = (
             scores.session.as_str(),
@@ -152,7 +152,7 @@ impl Encoded {
         let wraps = lenses.wraps(taken, size);
         let image = ColourView::new(rgb.width, rgb.height, &rgb.data).ok_or(MISSIZED)?;
         let example = Unary::of_cells(&view)
-            .and_then(|unary| Example::new(&image, scores.stride_px, unary, wraps, truth.data));
+            .and_then(|unary| Example::new(&image, scores.stride_px, unary, wraps, truth));
         example.map_err(|_| MISSIZED.into())
     }
 }

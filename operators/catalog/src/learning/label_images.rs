@@ -3,14 +3,13 @@
 use evermap_algorithms::learning::dense_crf::{Kernels, MeanField, RandomField, Unary};
 use evermap_algorithms::semantic_map::semantic_graph::MOST_CLASSES;
 use evermap_contract::{Fault, Operator, Port, Reach, Reason, Sides, Work};
-use evermap_schemas::Bytes;
 use evermap_schemas::layers::{ClassScores, CrfSetting, LabelImage, ScoredFrame};
-use evermap_vision::{Grey, Rgb, encode_png};
+use evermap_vision::Rgb;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::inputs::lenses::{self, Lenses};
-use crate::inputs::pixels::{colours, scores, undecoded};
+use crate::inputs::pixels::{colours, label_image, scores, undecoded};
 
 /// See the module's page.
 pub struct LabelImages;
@@ -96,12 +95,7 @@ impl Labeller {
         let found = field
             .infer(&unary, self.mean_field.iterations)
             .map_err(unusable)?;
-        let labels = Grey {
-            width: scored.width,
-            height: scored.height,
-            data: found.labels(),
-        };
-        let png = encode_png(&labels).map_err(|_| "labels do not encode")?;
+        let png = label_image([scored.width, scored.height], found.labels())?;
         Ok(Some(LabelImage {
             site: scored.site,
             session: scored.session,
@@ -110,7 +104,7 @@ impl Labeller {
             width: scored.width,
             height: scored.height,
             classes: scored.classes,
-            png: Bytes(png),
+            png,
         }))
     }
 }

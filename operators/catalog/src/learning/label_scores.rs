@@ -4,9 +4,10 @@ use evermap_algorithms::semantic_map::class_scores::of_labels;
 use evermap_contract::{Operator, Port, Reason, Work};
 use evermap_schemas::Bytes;
 use evermap_schemas::layers::{ClassScores, LabelImage};
-use evermap_vision::decode_labels;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
+
+use crate::inputs::pixels::labels;
 
 /// See the module's page.
 pub struct LabelScores;
@@ -41,14 +42,11 @@ impl Operator for LabelScores {
 }
 
 fn scores(params: &LabelScoresParams, row: LabelImage) -> Result<Option<ClassScores>, Reason> {
-    let labels = decode_labels(&row.png.0).map_err(|_| "labels do not decode")?;
-    if [labels.width, labels.height] != [row.width, row.height] {
-        return Err("labels have another size than their row says".into());
-    }
+    let labels = labels(&row)?;
     if row.classes.is_empty() {
         return Err("there are no classes".into());
     }
-    let probabilities = of_labels(&labels.data, row.classes.len(), params.confidence);
+    let probabilities = of_labels(&labels, row.classes.len(), params.confidence);
     Ok(Some(ClassScores {
         site: row.site,
         session: row.session,

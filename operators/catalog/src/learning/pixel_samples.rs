@@ -7,13 +7,13 @@ use evermap_algorithms::semantic_map::semantic_graph::MOST_CLASSES;
 use evermap_contract::{Fault, Operator, Port, Reach, Reason, Sides, Work};
 use evermap_schemas::Bytes;
 use evermap_schemas::layers::{LabelledFrame, PixelSamples};
-use evermap_vision::{Rgb, decode_labels};
+use evermap_vision::Rgb;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::inputs::backbone::BACKBONE;
 use crate::inputs::lenses::{self, Lenses};
-use crate::inputs::pixels::{colours, undecoded};
+use crate::inputs::pixels::{colours, undecoded, values_on_image};
 
 /// See the module's page.
 pub struct PixelSampling;
@@ -95,33 +95,22 @@ impl Sampler {
         bytes: &[u8],
         rgb: &mut Rgb,
     ) -> Result<Option<PixelSamples>, Reason> {
-        let labels = decode_labels(&frame.png.0).map_err(|_| "labels do not decode")?;
         let undecoded = || undecoded(&frame.camera, &frame.image.format);
         let image = colours(bytes, rgb, undecoded)?;
-        let size = [labels.width, labels.height].map(|side| side as usize);
-        if size != [image.width(), image.height()] {
-            return Err("labels are of another size than the image".into());
-        }
+        let size = [image.width(), image.height()].map(|side| side as u32);
+        let labels = values_on_image(&frame.png.0, size)?;
         let taken = (frame.session.as_str(), frame.camera.as_str(), frame.stamp);
-        let Features { description, json } =
-            match self.lenses.wraps(taken, [labels.width, labels.height]) {
-                true => &self.panorama,
-                false => &self.plain,
-            };
+        let Features { description, json } = match self.lenses.wraps(taken, size) {
+            true => &self.panorama,
+            false => &self.plain,
+        };
         let sampling = SamplingOptions {
             // Other pixels of every image, and the same ones in every run.
             seed: self.sampling.seed.wrapping_add(frame.stamp.0 as u64),
             ..self.sampling
         };
         let classes = frame.classes.len().min(MOST_CLASSES);
-        let found = labelled_features(
-            description,
-            &image,
-            &labels.data,
-            classes,
-            &sampling,
-            BACKBONE,
-        );
+        let found = labelled_features(description, &image, &labels, classes, &sampling, BACKBONE);
         let found = found.map_err(|_| "features cannot be computed")?;
         if found.labels.is_empty() {
             return Err("image has no labelled pixels".into());

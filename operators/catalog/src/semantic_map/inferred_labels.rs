@@ -6,18 +6,16 @@ use evermap_algorithms::semantic_map::stable::inference::{Options, Teller, infer
 use evermap_algorithms::semantic_map::stable::occlusion::{Model, Occlusion};
 use evermap_algorithms::semantic_map::stable::surroundings::DIMENSIONS;
 use evermap_contract::{Fault, Operator, Port, Reach, Reason, Sides, Work};
-use evermap_schemas::Bytes;
 use evermap_schemas::layers::{
     DecisionTree, InferredArea, InferredLabels, OcclusionProbability, WarpedLabels,
 };
-use evermap_vision::{Grey, encode_png};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::inputs::classifier::LearntModels;
 use crate::inputs::graphs::no_graph;
 use crate::inputs::lenses::{self, Lenses};
-use crate::inputs::pixels::values;
+use crate::inputs::pixels::{label_image, values};
 use crate::inputs::spheres::{MovingClasses, surroundings};
 
 /// See the module's page.
@@ -129,16 +127,7 @@ impl Site {
             v: area.v,
             probability: area.probability,
         });
-        let png = |data: Vec<u8>| {
-            let image = Grey {
-                width,
-                height,
-                data,
-            };
-            encode_png(&image)
-                .map(Bytes)
-                .map_err(|_| "label image does not encode")
-        };
+        let png = |data: Vec<u8>| label_image([width, height], data);
         Ok([InferredLabels {
             inferred: areas.collect(),
             png: png(stable.labels)?,

@@ -4,13 +4,14 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use evermap_algorithms::semantic_map::semantic_graph::{MOST_CLASSES, VOID};
 use evermap_contract::{Emit, Fault, Operator, Pixels, Port, Reason, Sides, Work};
-use evermap_schemas::Bytes;
 use evermap_schemas::layers::LabelImage;
 use evermap_schemas::roles::{Frame, LabelClass};
-use evermap_vision::{Grey, ImageError, decode_values, encode_png};
+use evermap_vision::{ImageError, decode_values};
 use rayon::prelude::*;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
+
+use crate::inputs::pixels::{NO_LABELS, label_image};
 
 /// See the module's page.
 pub struct RecordedLabels;
@@ -155,17 +156,12 @@ impl Site {
     fn image(&self, frame: Frame, bytes: &[u8]) -> DecodedImage {
         let values = decode_values(bytes).map_err(|error| match error {
             ImageError::Values { .. } => "label image holds colours instead of values",
-            _ => "label image does not decode",
+            _ => NO_LABELS,
         })?;
         let table = self.sessions.get(&frame.session).unwrap_or(&self.unsaid);
         let (data, complete) = classified(&values.data, table);
         let (width, height) = (values.width, values.height);
-        let labels = Grey {
-            width,
-            height,
-            data,
-        };
-        let png = encode_png(&labels).map_err(|_| "label image does not encode")?;
+        let png = label_image([width, height], data)?;
         let row = LabelImage {
             site: frame.site,
             session: frame.session,
@@ -174,7 +170,7 @@ impl Site {
             width,
             height,
             classes: self.classes.clone(),
-            png: Bytes(png),
+            png,
         };
         Ok((row, complete))
     }

@@ -9,14 +9,12 @@ use evermap_algorithms::semantic_map::stable::links::Links;
 use evermap_algorithms::semantic_map::stable::occlusion;
 use evermap_algorithms::semantic_map::stable::warp::{LabelledView, Options, replaced};
 use evermap_contract::{Fault, Operator, Port, Reason, Sides, Work};
-use evermap_schemas::Bytes;
 use evermap_schemas::layers::{LabelImage, Occluded, SphereView, ViewLink, WarpedLabels};
-use evermap_vision::{Grey, encode_png};
 use nalgebra::Matrix6;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::inputs::pixels::labels;
+use crate::inputs::pixels::{label_image, labels};
 use crate::inputs::spheres::{MovingClasses, OpenSphere, Spheres, ViewKey};
 
 /// See the module's page.
@@ -143,17 +141,12 @@ impl Site {
             class: name(count.class),
             pixels: count.pixels,
         });
-        let image = Grey {
-            width: row.width,
-            height: row.height,
-            data: after,
-        };
         Ok([WarpedLabels {
             occlusions: occlusions.collect(),
             unclear_px,
             unseen_px,
             views: others.len() as u32,
-            png: Bytes(encode_png(&image).map_err(|_| "label image does not encode")?),
+            png: label_image([row.width, row.height], after)?,
             site: row.site,
             session: row.session,
             stamp: row.stamp,

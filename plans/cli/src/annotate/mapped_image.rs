@@ -87,7 +87,7 @@ impl<'a> MappedImage<'a> {
         let (session, _, camera) = self.image;
         let mounted = self.holds.camera(session, camera);
         let mounted =
-            mounted.ok_or("box of somebody new, of a camera that the map does not know")?;
+            mounted.ok_or("box of a new person, in a camera that the map does not know")?;
         let scale = self.scale([mounted.camera.width, mounted.camera.height]);
         let drawn = each_side(*drawn, |at, axis| at / scale[axis] - CORNER);
         let found = standing(
@@ -96,7 +96,7 @@ impl<'a> MappedImage<'a> {
             &drawn,
             &self.params,
         );
-        found.ok_or("box of somebody new, whom nobody on the ground near the vehicle would fill")
+        found.ok_or("box of a new person that no one standing near the vehicle would fill")
     }
 
     /// The box around somebody of usual size who stands at a point of the vehicle frame (m), as far as the image goes; `None`

@@ -255,16 +255,16 @@ impl Member {
     }
 }
 
-/// What is to be a list: the first of its elements, so many as there may be.
+/// What is to be a list: the first of its elements, `MOST` at most.
 #[derive(Debug)]
-pub(super) struct Listed<T> {
+pub(super) struct Listed<T, const MOST: usize = MOST_FEATURES> {
     /// What is there.
     pub(super) is: Member,
     pub(super) first: Vec<T>,
     pub(super) count: usize,
 }
 
-impl<T> Default for Listed<T> {
+impl<T, const MOST: usize> Default for Listed<T, MOST> {
     fn default() -> Self {
         Self {
             is: Member::Nothing,
@@ -274,13 +274,13 @@ impl<T> Default for Listed<T> {
     }
 }
 
-impl<T: Lenient> Lenient for Listed<T> {
+impl<T: Lenient, const MOST: usize> Lenient for Listed<T, MOST> {
     fn found(&mut self, token: JsonToken<'_>) {
         self.is.found(token);
     }
 
     fn element<'de, A: SeqAccess<'de>>(&mut self, list: &mut A) -> Result<Option<()>, A::Error> {
-        let found = match self.count < MOST_FEATURES {
+        let found = match self.count < MOST {
             true => {
                 let found = list.next_element::<AnyJson<T>>()?;
                 found.map(|AnyJson(one)| self.first.push(one))

@@ -2,11 +2,14 @@
 
 use clap::Args;
 
+/// Where a scheduler listens, and executors look for it.
+const SCHEDULER: &str = "127.0.0.1:50050";
+
 /// Arguments of `scheduler`.
 #[derive(Debug, Args)]
 pub struct SchedulerArgs {
     /// Host and port to listen on, by the name or address that the others reach it by.
-    #[arg(long, value_name = "HOST:PORT", default_value = "127.0.0.1:50050", value_parser = address)]
+    #[arg(long, value_name = "HOST:PORT", default_value = SCHEDULER, value_parser = address)]
     pub bind: (String, u16),
 }
 
@@ -14,7 +17,7 @@ pub struct SchedulerArgs {
 #[derive(Debug, Args)]
 pub struct ExecutorArgs {
     /// The scheduler.
-    #[arg(long, value_name = "HOST:PORT", default_value = "127.0.0.1:50050", value_parser = address)]
+    #[arg(long, value_name = "HOST:PORT", default_value = SCHEDULER, value_parser = address)]
     pub scheduler: (String, u16),
     /// Give up when no scheduler answers within so many seconds.
     #[arg(long, value_name = "SECONDS", default_value_t = 60, value_parser = clap::value_parser!(u64).range(1..))]

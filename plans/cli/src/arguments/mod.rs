@@ -25,6 +25,9 @@ pub use serve::{HTTP, ServeArgs};
 pub use sql::{FunctionsArgs, SqlArgs};
 pub use versions::{DiffArgs, GcArgs, VerifyArgs, VersionsArgs};
 
+/// The memory that a program takes where nobody says it: that of `Limits::default`.
+const MEMORY: &str = "4GiB";
+
 const EXITS: &str = "Exit status: 0 done, 1 failed, 2 wrong usage, 3 done with loss (skipped or lost inputs are counted on \
                      stderr). Results go to stdout, everything else to stderr. EVERMAP_LOG=info,evermap=debug logs more.";
 
@@ -121,7 +124,7 @@ pub struct LimitArgs {
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=1024))]
     pub jobs: Option<u32>,
     /// Memory for sorts, joins and decoded chunks, all units together.
-    #[arg(long, value_name = "BYTES", default_value = "4GiB", value_parser = quantity::bytes)]
+    #[arg(long, value_name = "BYTES", default_value = MEMORY, value_parser = quantity::bytes)]
     pub memory: usize,
 }
 

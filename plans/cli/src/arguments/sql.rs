@@ -32,7 +32,7 @@ pub struct SqlArgs {
     #[arg(long, value_name = "FILE")]
     pub out: Option<PathBuf>,
     /// Memory for sorts, joins and decoded chunks.
-    #[arg(long, value_name = "BYTES", default_value = "4GiB", value_parser = quantity::bytes)]
+    #[arg(long, value_name = "BYTES", default_value = super::MEMORY, value_parser = quantity::bytes)]
     pub memory: usize,
     /// The query, also after the sessions, or as `--query`; without one, a prompt, or queries from standard input.
     pub query: Option<String>,

@@ -114,3 +114,9 @@ fn authors_and_kinds_are_not_empty() {
         }
     }
 }
+
+#[test]
+fn a_program_takes_the_memory_that_a_library_does() {
+    let limits = evermap_engine::sql::Limits::default();
+    assert_eq!(quantity::bytes(MEMORY), Ok(limits.memory_bytes));
+}

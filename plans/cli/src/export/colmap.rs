@@ -17,7 +17,7 @@ use evermap_schemas::roles::{Calibration, Transform};
 
 use crate::annotate::person_images::CORNER;
 use crate::ending::Failure;
-use crate::output::write_file;
+use crate::output::Folder;
 use crate::reader::{MapReader, one_site, typed};
 
 /// What a model is made of, of one site.
@@ -39,15 +39,15 @@ pub async fn export(
     out: &Path,
 ) -> Result<(), Failure> {
     let model = model(&gather(reader, batches, site).await?)?;
-    std::fs::create_dir_all(out)?;
+    let mut folder = Folder::create(out)?;
     for (name, text) in [
         ("cameras.txt", &model.cameras),
         ("images.txt", &model.images),
         ("points3D.txt", &model.points),
     ] {
-        write_file(&out.join(name), text.as_bytes())?;
+        folder.add(name, text.as_bytes())?;
     }
-    Ok(())
+    Ok(folder.finish()?)
 }
 
 async fn gather(

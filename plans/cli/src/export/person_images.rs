@@ -17,7 +17,7 @@ use crate::camera_images::file;
 use crate::cutout;
 use crate::ending::{Ending, Lost};
 use crate::export::{Selection, selected};
-use crate::output::write_file;
+use crate::output::Folder;
 use crate::reader::{MapReader, one_site, typed};
 
 /// Writes the images of the first questions into a folder, and what is asked of each. Images that cannot be read are noted
@@ -38,14 +38,14 @@ pub async fn export(reader: &MapReader, layer: &str, selection: &Selection, out:
     let sites = questions.iter().map(|row| row.site.as_str());
     one_site(sites, selection.site.as_deref())?;
     let context = reader.context(context(Limits::default())?)?;
-    std::fs::create_dir_all(out)?;
+    let mut folder = Folder::create(out)?;
     let (mut written, mut losses) = (PersonImages::default(), Losses::default());
     for (key, asked) in by_image(questions, selection.questions) {
         match shown(reader, &context, &key).await {
             Ok((size, ending, bytes)) => {
                 written.add((size, ending), &asked);
                 if let Some(image) = written.images.last() {
-                    write_file(&out.join(&image.file_name), &bytes)?;
+                    folder.add(&image.file_name, &bytes)?;
                 }
             }
             Err(fault) => {
@@ -57,8 +57,9 @@ pub async fn export(reader: &MapReader, layer: &str, selection: &Selection, out:
         }
     }
     let [index, tasks] = written.texts()?;
-    write_file(&out.join(TASKS), tasks.as_bytes())?;
-    write_file(&out.join(INDEX), index.as_bytes())?;
+    folder.add(TASKS, tasks.as_bytes())?;
+    folder.add(INDEX, index.as_bytes())?;
+    folder.finish()?;
     losses.tell();
     Ok(Lost(losses.counts))
 }

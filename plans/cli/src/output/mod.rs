@@ -1,6 +1,7 @@
 //! Rows on their way out: a table for people, CSV, JSON, Parquet or Arrow for programs.
 
 mod columnar;
+mod folder;
 mod place;
 mod readable;
 mod sink;
@@ -16,6 +17,7 @@ use evermap_schemas::{Fault, LayerRow, batch};
 use futures::{Stream, StreamExt};
 
 pub use columnar::{CRS, GEOMETRY, with_columns};
+pub use folder::Folder;
 pub use place::outside_of_maps;
 pub use sink::{Sink, write_file};
 pub use writers::RowWriter;

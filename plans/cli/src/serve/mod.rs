@@ -78,8 +78,11 @@ pub async fn serve(args: &ServeArgs) -> Ending {
     let names = maps.all().map(|map| map.name.as_str());
     let names = names.collect::<Vec<_>>().join(", ");
     let served = match &args.teach {
-        Some(folder) => format!("to be read, and taught into {}", folder.display()),
-        None => "to be read".to_owned(),
+        Some(folder) => format!(
+            "read-only; what people teach goes into {}",
+            folder.display()
+        ),
+        None => "read-only".to_owned(),
     };
     line(&format!("serving {names}, {served}"));
     line(&format!("page and HTTP: {scheme}://{web_address}/"));

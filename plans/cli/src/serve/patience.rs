@@ -66,7 +66,9 @@ pub async fn accept<C, E>(
         match permits.take(address.ip()) {
             Ok(permit) => {
                 if let Err(error) = notice_when_gone(&socket) {
-                    tracing::debug!("a client that goes without a word is not noticed: {error}");
+                    tracing::debug!(
+                        "cannot set keep-alive, so a client that vanishes is not noticed: {error}"
+                    );
                 }
                 let asked = RequestSignal::default();
                 attend(permit, asked.clone(), converse(socket, asked, None));

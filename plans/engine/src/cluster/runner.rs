@@ -323,7 +323,7 @@ impl Wave {
         let found = match note::at_work(missing).await {
             Ok(found) => found,
             Err(fault) => {
-                tracing::debug!("nobody knows what is at work: {fault}");
+                tracing::debug!("cannot read which units are running: {fault}");
                 return Vec::new();
             }
         };

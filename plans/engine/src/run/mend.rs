@@ -57,7 +57,7 @@ impl Mending<'_, '_> {
             } else if begun.insert(damage.file.clone()) {
                 damaged.extend(deeper);
             } else {
-                return Err(lost(damage, "what it was made from does not stay sound"));
+                return Err(lost(damage, "what it was made from was damaged again"));
             }
         }
         Ok(())

@@ -99,10 +99,9 @@ fn shape(result: WrittenResult, size: [u32; 2]) -> Result<(Option<String>, Shape
     let degrees = degrees(&result.value.rotation)?;
     let kind = match result.labels() {
         None => Ok(None),
-        Some(labels) => match (&labels.is, &labels.first) {
-            (Member::Nothing, _) => Ok(None),
-            (Member::List, _) if labels.count == 0 => Ok(None),
-            (Member::List, first @ (Member::Text(_) | Member::Number(_))) => Ok(first.word()),
+        Some(labels) => match (&labels.is, labels.first.first()) {
+            (Member::Nothing, _) | (Member::List, None) => Ok(None),
+            (Member::List, Some(first @ (Member::Text(_) | Member::Number(_)))) => Ok(first.word()),
             _ => Err("annotation whose label is no text"),
         },
     };

@@ -412,7 +412,7 @@ fn degrees(member: &Member) -> Result<f64, &'static str> {
 
 /// Why a shape is left out.
 const TURNED: &str = "annotation whose rotation is no number of degrees";
-const NO_SHAPE: &str = "annotation that is neither box nor outline";
+const NO_SHAPE: &str = "annotation that is neither box, outline nor line";
 
 #[cfg(test)]
 mod tests;

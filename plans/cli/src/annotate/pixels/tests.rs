@@ -199,6 +199,15 @@ fn what_the_programs_write_is_read() {
     for (text, expected) in [
         ("<a", "expected XML of CVAT"),
         ("<svg/>", "found XML of <svg>"),
+        ("<annotations>\n<image>\n</imag></annotations>", "in line 3"),
+        (
+            r#"<!DOCTYPE a [<!ENTITY a "&b;&b;"><!ENTITY b "&a;&a;">]><annotations/>"#,
+            "a document type",
+        ),
+        (
+            r#"<annotations><image name="&a;"/></annotations>"#,
+            "expected XML of CVAT",
+        ),
         (
             r#"<annotations><track id="0" label="space"><box frame="0" xtl="1" ytl="1" xbr="5" ybr="9"/></track></annotations>"#,
             "export from CVAT as `CVAT for images 1.1`",
@@ -485,7 +494,7 @@ fn a_rectangle_of_several_labels_is_told_and_left_out() {
     assert_eq!(found.unwrap().len(), 1);
     let told = [
         "task 0, result 0: annotation with several labels: which one it marks is not said",
-        "task 0, result 2: annotation that is neither box nor outline",
+        "task 0, result 2: annotation that is neither box, outline nor line",
     ];
     assert_eq!(losses.lines, told);
 }
@@ -752,6 +761,20 @@ fn a_file_of_too_many_annotations_is_refused() {
             ),
             "expected at most 500000 results",
         ),
+        (
+            format!(
+                "<annotations>{}</annotations>",
+                "<image/>".repeat(MOST_FEATURES + 1)
+            ),
+            "expected at most 500000 pictures",
+        ),
+        (
+            format!(
+                "<annotations><image>{}</image></annotations>",
+                "<a/>".repeat(MOST_FEATURES + 1)
+            ),
+            "expected at most 500000 annotations",
+        ),
         // Those of several annotations, in several lists, are counted together.
         (
             format!(
@@ -794,6 +817,13 @@ fn an_outline_of_too_many_corners_is_the_box_around_it_or_counted() {
         let annotations = json!([{ "result": [result] }]);
         json!([{ "data": { "image": "lot.png" }, "annotations": annotations }]).to_string()
     };
+    let cvat = |count: usize| {
+        let points = corners(count).into_iter().map(|[x, y]| format!("{x},{y}"));
+        let points = points.collect::<Vec<_>>().join(";");
+        format!(
+            r#"<annotations><image name="lot.png"><polygon points="{points}"/></image></annotations>"#
+        )
+    };
     let canvases = [Canvas {
         name: "lot.png".into(),
         size: [400, 300],
@@ -801,6 +831,7 @@ fn an_outline_of_too_many_corners_is_the_box_around_it_or_counted() {
     for (program, text) in [
         (Program::Coco, &coco as &dyn Fn(usize) -> String),
         (Program::LabelStudio, &studio),
+        (Program::Cvat, &cvat),
     ] {
         let path = Path::new("a.json");
         for count in [4096, 4097] {
@@ -819,6 +850,34 @@ fn an_outline_of_too_many_corners_is_the_box_around_it_or_counted() {
                 (1, None)
             };
             assert_eq!((features.len(), told), expected, "{program:?}");
+        }
+    }
+}
+
+/// What nobody looks for costs no more than its bytes, whatever it is and however deep.
+#[test]
+fn xml_of_any_form_is_read_in_one_pass() {
+    let attributes: String = (0..100_000).map(|at| format!(" a{at}=\"\"")).collect();
+    let nested = ["<g>".repeat(200_000), "</g>".repeat(200_000)].concat();
+    let text = format!(
+        r#"<?xml version="1.0"?><!-- a --><annotations><meta>{nested}</meta><image{attributes} name="a.png">
+        <box{attributes} label="a &amp; &#98;" xtl="1" ytl="1" xbr="21" ybr="11">{nested}<attribute name="evermap_label">
+        a &lt;<![CDATA[<b>]]> </attribute><attribute name="evermap_label">c</attribute></box></image></annotations>"#
+    );
+    assert_eq!(told(&text), Ok((1, true, false)));
+    let folder = tempfile::tempdir().unwrap();
+    let picture = picture(folder.path());
+    let path = Path::new("a.xml");
+    let mut losses = Losses::default();
+    let found = Program::Cvat.read(path, &text, &picture, &mut losses);
+    let found = found.unwrap();
+    assert_eq!(found[0].category.as_deref(), Some("a & b"));
+    assert_eq!(found[0].label.as_deref(), Some("a <<b>"));
+    // Cut anywhere it is no whole file, and says so.
+    let short = text.replace(&attributes, "").replace(&nested, "<g></g>");
+    for end in 1..short.len() {
+        if let Some(cut) = short.get(..end) {
+            assert!(told(cut).is_err(), "{cut}");
         }
     }
 }

@@ -4,9 +4,7 @@ use serde::de::{MapAccess, SeqAccess};
 
 use crate::annotate::pixels::outline::{Numbers, PixelOutline};
 use crate::annotate::pixels::{NAME, NO_SHAPE, Rectangle, Shape, degrees};
-use crate::annotate::reading::{
-    AnyJson, JsonToken, Lenient, Listed, Member, passed, skipped, value,
-};
+use crate::annotate::reading::{AnyJson, JsonToken, Lenient, Listed, Member, skipped, value};
 
 /// A file.
 #[derive(Debug, Default)]
@@ -124,8 +122,8 @@ impl WrittenAnnotation {
     /// In words, for what is none.
     pub(super) fn shape(self) -> Result<Shape, &'static str> {
         let Segmentation { is, count, first } = self.segmentation;
-        if is == Member::List && count == 1 {
-            return first.shape();
+        if let (Member::List, 1, Some(outline)) = (is, count, first.into_iter().next()) {
+            return outline.shape();
         }
         let [left, top, width, height] = self.bbox.all().ok_or(NO_SHAPE)?;
         let degrees = degrees(&self.attributes.rotation)?;
@@ -155,32 +153,8 @@ impl Lenient for Attributes {
     }
 }
 
-/// A list of outlines, or a mask.
-#[derive(Debug, Default)]
-struct Segmentation {
-    is: Member,
-    count: usize,
-    /// The first outline; of several, none is taken.
-    first: FlatOutline,
-}
-
-impl Lenient for Segmentation {
-    fn found(&mut self, token: JsonToken<'_>) {
-        self.is.found(token);
-    }
-
-    fn element<'de, A: SeqAccess<'de>>(&mut self, list: &mut A) -> Result<Option<()>, A::Error> {
-        let found = match self.count {
-            0 => {
-                let found = list.next_element::<AnyJson<FlatOutline>>()?;
-                found.map(|AnyJson(outline)| self.first = outline)
-            }
-            _ => passed(list)?,
-        };
-        self.count += usize::from(found.is_some());
-        Ok(found)
-    }
-}
+/// A list of outlines, the first of which counts, or a mask.
+type Segmentation = Listed<FlatOutline, 1>;
 
 /// Columns and rows in turn.
 #[derive(Debug, Default)]

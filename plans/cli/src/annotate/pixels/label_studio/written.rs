@@ -4,7 +4,7 @@ use serde::de::{MapAccess, SeqAccess};
 
 use crate::annotate::pixels::outline::{Numbers, PixelOutline};
 use crate::annotate::reading::{
-    AnyJson, JsonToken, Lenient, Listed, MOST_FEATURES, Member, passed, skipped, value,
+    AnyJson, JsonToken, Lenient, Listed, MOST_FEATURES, Member, skipped, value,
 };
 
 /// Texts of a task's data that are looked through for the name of its picture.
@@ -207,32 +207,8 @@ impl Lenient for WrittenValue {
     }
 }
 
-/// What a result is said to be.
-#[derive(Debug, Default)]
-pub(super) struct WrittenLabels {
-    /// What is there.
-    pub(super) is: Member,
-    pub(super) count: usize,
-    pub(super) first: Member,
-}
-
-impl Lenient for WrittenLabels {
-    fn found(&mut self, token: JsonToken<'_>) {
-        self.is.found(token);
-    }
-
-    fn element<'de, A: SeqAccess<'de>>(&mut self, list: &mut A) -> Result<Option<()>, A::Error> {
-        let found = match self.count {
-            0 => {
-                let found = list.next_element::<AnyJson<Member>>()?;
-                found.map(|AnyJson(first)| self.first = first)
-            }
-            _ => passed(list)?,
-        };
-        self.count += usize::from(found.is_some());
-        Ok(found)
-    }
-}
+/// What a result is said to be: the first of several.
+pub(super) type WrittenLabels = Listed<Member, 1>;
 
 /// Corners of an outline, each a list of a column and a row.
 #[derive(Debug, Default)]
