@@ -34,6 +34,11 @@ impl Operator for ExposureOfGround {
         sides.push(Port::session::<SurfacePoint>("points").optional());
         Work::group(images, Key::SESSION, sides, exposure)
     }
+
+    fn check(params: &Self::Params) -> Result<(), Fault> {
+        let checked = params.options.check();
+        checked.map_err(|error| Fault::user(error.to_string()))
+    }
 }
 
 /// Images that are looked at side by side, before their looks are counted in order.
@@ -86,7 +91,10 @@ fn exposure(
             shot.shows(&around, body, &params.options)
         });
         for ((stamp, ..), shown) in block.iter().zip(shown.collect::<Vec<_>>()) {
-            looks.add(*stamp, &shown, &params.options);
+            match shown {
+                Ok(shown) => looks.add(*stamp, &shown, &params.options),
+                Err(reason) => emit.skip(reason, 1),
+            }
         }
     }
     let row = |([column, row], looked): ([i32; 2], _)| {

@@ -137,6 +137,10 @@ fn found_people(sides: &Sides) -> Result<BTreeMap<String, Vec<FoundPerson>>, Fau
     Ok(by_session)
 }
 
+/// Cells that labels cover at most, all together: so many are solved in seconds (BENCHMARKS.md). Of half a metre they are
+/// 26 hectares.
+const MOST_CELLS_OF_LABELS: usize = 1 << 20;
+
 /// The kind of each cell that a label or a lane is on; where several are, the one where people are expected most, and of equal
 /// ones the first by name.
 fn kinds_of_cells(
@@ -160,12 +164,17 @@ fn kinds_of_cells(
             }
         }
     };
+    let mut room = MOST_CELLS_OF_LABELS;
     for label in sides.rows::<PlacedLabel>("labels")? {
         let area = label.shape != "polyline" && label.standing != "rejected";
         if let (Some(kind), true) = (kinds.get(label.kind.as_str()), area) {
             let corners: Vec<[f64; 2]> = label.points.iter().map(|[x, y, _]| [*x, *y]).collect();
             match in_polygon(&corners, cell_m) {
-                Some(cells) => lay(cells, *kind),
+                Some(cells) if cells.len() <= room => {
+                    room -= cells.len();
+                    lay(cells, *kind);
+                }
+                Some(_) => emit.skip("label of more ground than a map has room for", 1),
                 None => emit.skip("label larger than a map", 1),
             }
         }

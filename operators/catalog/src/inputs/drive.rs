@@ -1,6 +1,7 @@
 //! A session as the metric map's algorithms want it: the rig, and its keyframes with their features.
 
 use std::borrow::Cow;
+use std::cmp::Reverse;
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
@@ -188,29 +189,46 @@ impl<'a> Shot<'a> {
 }
 
 /// The rig whose images these are. Cameras are calibrated once per session: by the calibration that holds at their first
-/// image.
+/// image. A camera is of the size that most of its images have; others are counted, and are none of this rig's.
 fn rig(
     mounted: Option<&rig::Rig>,
     shots: &[Shot<'_>],
     vehicle: &VehicleFrame,
     skip: &mut dyn FnMut(Reason, u64),
 ) -> Rig {
-    let mut first: BTreeMap<&str, &Shot<'_>> = BTreeMap::new();
+    let mut taken: BTreeMap<&str, Vec<&Shot<'_>>> = BTreeMap::new();
     for shot in shots {
-        first.entry(shot.camera).or_insert(shot);
+        taken.entry(shot.camera).or_default().push(shot);
     }
     let mut cameras = Vec::new();
-    for (name, shot) in first {
+    for (name, shots) in taken {
+        let (first, images) = usual(&shots);
+        if images < shots.len() {
+            let [width, height] = first.size;
+            let reason = format!(
+                "image of camera `{}` has another size than most of its session, {width} × {height}",
+                frame(name)
+            );
+            skip(reason.into(), (shots.len() - images) as u64);
+        }
         let mounted = mounted.ok_or_else(|| rig::uncalibrated(frame(name)));
-        match mounted.and_then(|rig| camera(rig, shot, vehicle)) {
+        match mounted.and_then(|rig| camera(rig, first, vehicle)) {
             Ok(camera) => cameras.push(camera),
-            Err(reason) => {
-                let images = shots.iter().filter(|shot| shot.camera == name).count();
-                skip(reason, images as u64);
-            }
+            Err(reason) => skip(reason, images as u64),
         }
     }
     Rig { cameras }
+}
+
+/// The first image of the size that most of these have, and how many have it; of sizes that are as usual, the first.
+fn usual<'a>(shots: &[&'a Shot<'a>]) -> (&'a Shot<'a>, usize) {
+    let mut counts: BTreeMap<[u32; 2], (usize, Reverse<usize>)> = BTreeMap::new();
+    for (at, shot) in shots.iter().enumerate() {
+        counts.entry(shot.size).or_insert((0, Reverse(at))).0 += 1;
+    }
+    let most = counts.into_values().max();
+    let (images, Reverse(first)) = most.unwrap_or_default();
+    (shots[first], images)
 }
 
 /// Calibrations by which no pixel moves farther than this are the same: features are not found better.
@@ -263,12 +281,14 @@ impl<F> FeaturedDrive<F> {
             .ok()
     }
 
-    /// The indices of an image's keyframe and camera.
-    fn image(&self, stamp: Stamp, camera: &str) -> Option<(usize, usize)> {
+    /// The indices of an image's keyframe and camera; `None` where its camera takes images of another size.
+    fn image(&self, shot: &Shot<'_>) -> Option<(usize, usize)> {
         let keyframe = self
             .keyframes
-            .binary_search_by_key(&stamp, |keyframe| keyframe.stamp);
-        Some((keyframe.ok()?, self.rig.index(camera)?))
+            .binary_search_by_key(&shot.stamp, |keyframe| keyframe.stamp);
+        let camera = self.rig.index(shot.camera)?;
+        let lens = &self.rig.cameras[camera].camera;
+        ([lens.width, lens.height] == shot.size).then_some((keyframe.ok()?, camera))
     }
 }
 
@@ -279,7 +299,7 @@ impl FeaturedDrive {
             keyframe.features.images = vec![ImageFeatures::default(); cameras];
         }
         for row in rows {
-            if let Some((keyframe, camera)) = self.image(row.stamp, &row.camera) {
+            if let Some((keyframe, camera)) = self.image(&Shot::of(&row)) {
                 self.keyframes[keyframe].features.images[camera] = image_features(&row);
             }
         }
@@ -294,7 +314,7 @@ impl FeaturedDrive<StoredRows> {
             keyframe.features = vec![None; cameras];
         }
         for (row, image) in images {
-            if let Some((keyframe, camera)) = self.image(image.stamp, &image.camera) {
+            if let Some((keyframe, camera)) = self.image(&Shot::named(image)) {
                 self.keyframes[keyframe].features[camera] = Some(*row);
             }
         }
@@ -412,5 +432,66 @@ mod tests {
         assert!(!moves(&turned(0.05), &turned(0.05)));
         assert!(!moves(&turned(0.0), &turned(0.002)));
         assert!(moves(&turned(0.0), &turned(0.01)));
+    }
+
+    #[test]
+    fn images_of_another_size_than_most_are_none_of_their_camera() {
+        let front = Calibration {
+            site: "s".into(),
+            session: "a".into(),
+            stamp: Stamp(0),
+            camera: "front".into(),
+            width: 200,
+            height: 150,
+            model: "plumb_bob".into(),
+            intrinsics: vec![100.0, 0.0, 99.5, 0.0, 100.0, 74.5, 0.0, 0.0, 1.0],
+            distortion: Vec::new(),
+            mount: None,
+        };
+        let mount = Transform {
+            site: "s".into(),
+            session: "a".into(),
+            stamp: Stamp(0),
+            parent: "base_link".into(),
+            child: "front".into(),
+            parent_from_child: evermap_schemas::Pose::IDENTITY,
+            fixed: true,
+        };
+        let mounted = rig::rigs(vec![front], vec![mount]);
+        let sizes = [[1, 1], [200, 150], [100, 75], [200, 150]];
+        let shots: Vec<Shot<'_>> = sizes
+            .iter()
+            .zip(1..)
+            .map(|(size, stamp)| Shot {
+                camera: "front",
+                stamp: Stamp(stamp),
+                size: *size,
+            })
+            .collect();
+        let mut said = Vec::new();
+        let mut skip = |reason: Reason, images| said.push((reason.to_string(), images));
+        let rig = rig(
+            mounted.get("a"),
+            &shots,
+            &VehicleFrame::default(),
+            &mut skip,
+        );
+        let reason = "image of camera `front` has another size than most of its session, 200 × 150";
+        assert_eq!(said, [(reason.to_owned(), 2)]);
+        let drive = FeaturedDrive {
+            rig,
+            keyframes: Vec::from([1, 2, 3, 4].map(|stamp| FeaturedKeyframe {
+                stamp: Stamp(stamp),
+                number: 0,
+                stretch: 0,
+                odom_from_vehicle: Pose::identity(),
+                features: (),
+            })),
+        };
+        let places = shots.iter().map(|shot| drive.image(shot));
+        assert_eq!(
+            places.collect::<Vec<_>>(),
+            [None, Some((1, 0)), None, Some((3, 0))]
+        );
     }
 }

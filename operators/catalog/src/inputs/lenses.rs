@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use evermap_algorithms::geometry::camera::Camera;
-use evermap_contract::{Fault, Port, Reach, Sides};
+use evermap_contract::{Fault, Port, Reach, Reason, Sides};
 use evermap_schemas::Stamp;
 use evermap_schemas::roles::Calibration;
 
@@ -29,20 +29,24 @@ impl Lenses {
         })
     }
 
-    /// The camera that took an image of this size (px), as calibrated at that instant.
+    /// The camera that took an image of this size (px), as calibrated at that instant; `None` where it is not calibrated.
+    ///
+    /// # Errors
+    /// In words, for a calibration that no lens has, or one of images of another shape.
     pub(crate) fn camera(
         &self,
         (session, camera, stamp): (&str, &str, Stamp),
         size: [u32; 2],
-    ) -> Option<Camera> {
-        let rig = self.rigs.get(session)?;
-        rig::camera(rig.calibration(frame(camera), stamp).ok()?, size).ok()
+    ) -> Result<Option<Camera>, Reason> {
+        let rig = self.rigs.get(session);
+        let found = rig.and_then(|rig| rig.calibration(frame(camera), stamp).ok());
+        found.map(|found| rig::camera(found, size)).transpose()
     }
 
     /// Whether the last column of an image of this size (px) is next to its first one.
     pub(crate) fn wraps(&self, image: (&str, &str, Stamp), size: [u32; 2]) -> bool {
-        self.camera(image, size)
-            .is_some_and(|camera| camera.wraps())
+        let camera = self.camera(image, size).ok().flatten();
+        camera.is_some_and(|camera| camera.wraps())
     }
 }
 

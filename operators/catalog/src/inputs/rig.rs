@@ -390,11 +390,9 @@ pub(crate) fn camera(
         }
         scale(&mut k, x, y);
     }
-    let made = Camera::from_calibration(model, width, height, &k, distortion);
-    made.map_err(|error| {
-        let (name, error) = (shown(camera), shown(&error.to_string()));
-        format!("calibration of camera `{name}`: {error}").into()
-    })
+    // An error names the model, which may be any text; no known one is so long that it is cut.
+    let made = Camera::from_calibration(&shown(model), width, height, &k, distortion);
+    made.map_err(|error| format!("calibration of camera `{}`: {error}", shown(camera)).into())
 }
 
 /// Whether images that are so many times as large as calibrated ones may be the same, resized: smaller by any factor, larger by

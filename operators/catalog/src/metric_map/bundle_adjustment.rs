@@ -24,7 +24,7 @@ pub struct BundleAdjustment;
 
 impl Operator for BundleAdjustment {
     const NAME: &'static str = "bundle_adjustment";
-    const VERSION: u32 = 10;
+    const VERSION: u32 = 11;
     const PAGE: &'static str = include_str!("bundle_adjustment.md");
     type Params = OfVehicle<MappingParams>;
     type Output = AdjustedPose;

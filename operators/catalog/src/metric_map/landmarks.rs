@@ -39,7 +39,7 @@ impl Default for LandmarkOptions {
 
 impl Operator for Landmarks {
     const NAME: &'static str = "landmarks";
-    const VERSION: u32 = 4;
+    const VERSION: u32 = 5;
     const PAGE: &'static str = include_str!("landmarks.md");
     type Params = OfVehicle<LandmarkOptions>;
     type Output = Landmark;

@@ -20,7 +20,7 @@ pub struct Localisation;
 
 impl Operator for Localisation {
     const NAME: &'static str = "localisation";
-    const VERSION: u32 = 6;
+    const VERSION: u32 = 7;
     const PAGE: &'static str = include_str!("localisation.md");
     type Params = OfVehicle<LocalisationParams>;
     type Output = Row;

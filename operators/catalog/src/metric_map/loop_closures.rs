@@ -16,7 +16,7 @@ pub struct LoopClosures;
 
 impl Operator for LoopClosures {
     const NAME: &'static str = "loop_closures";
-    const VERSION: u32 = 5;
+    const VERSION: u32 = 6;
     const PAGE: &'static str = include_str!("loop_closures.md");
     type Params = OfVehicle<LoopOptions>;
     type Output = LoopClosure;

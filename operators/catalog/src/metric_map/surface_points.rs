@@ -15,7 +15,7 @@ pub struct SurfacePoints;
 
 impl Operator for SurfacePoints {
     const NAME: &'static str = "surface_points";
-    const VERSION: u32 = 1;
+    const VERSION: u32 = 2;
     const PAGE: &'static str = include_str!("surface_points.md");
     type Params = OfVehicle<SurfaceOptions>;
     type Output = SurfacePoint;

@@ -12,7 +12,7 @@ pub struct Tracks;
 
 impl Operator for Tracks {
     const NAME: &'static str = "tracks";
-    const VERSION: u32 = 5;
+    const VERSION: u32 = 6;
     const PAGE: &'static str = include_str!("tracks.md");
     type Params = OfVehicle<TrackParams>;
     type Output = Track;

@@ -63,8 +63,9 @@ struct DescribedView {
     view: View,
     /// Pixels that have labels that are no class.
     unknown_px: u64,
-    /// Why it does not say where its camera was, though its session has poses and transforms.
-    unplaced: Option<Reason>,
+    /// Why its camera counts as a plain one, though it is calibrated, and why it does not say where its camera was, though
+    /// its session has poses and transforms.
+    lacks: [Option<Reason>; 2],
 }
 
 /// How views are made of a site's images.
@@ -95,7 +96,7 @@ impl Site {
             images.map(|image| self.view(image)).collect();
         for described in views.iter().flatten() {
             emit.skip("value of a pixel is not a class", described.unknown_px);
-            if let Some(reason) = &described.unplaced {
+            for reason in described.lacks.iter().flatten() {
                 emit.skip(reason, 1);
             }
         }
@@ -116,7 +117,10 @@ impl Site {
             values: &values,
         };
         let taken = (image.session.as_str(), image.camera.as_str(), image.stamp);
-        let camera = self.lenses.camera(taken, [width, height]);
+        let (camera, unknown_lens) = match self.lenses.camera(taken, [width, height]) {
+            Ok(camera) => (camera, None),
+            Err(reason) => (None, Some(reason)),
+        };
         let options = GraphOptions {
             classes,
             wraps: camera.as_ref().is_some_and(Camera::wraps),
@@ -144,7 +148,7 @@ impl Site {
         Ok(DescribedView {
             view,
             unknown_px: labels.unknown_px(classes) as u64,
-            unplaced,
+            lacks: [unknown_lens, unplaced],
         })
     }
 }

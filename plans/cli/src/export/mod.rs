@@ -28,7 +28,9 @@ use crate::arguments::ExportArgs;
 use crate::earth::{Coordinates, Earth, beside, on_earth};
 use crate::ending::{DONE, Ending, Failure};
 pub use crate::export::geo::{GeoJson, Head, ON_EARTH};
-use crate::output::{CRS, Format, GEOMETRY, RowWriter, Sink, pieces, write, write_file};
+use crate::output::{
+    CRS, Format, GEOMETRY, RowWriter, Sink, pieces, write, write_file, write_together,
+};
 use crate::reader::{MapReader, nothing, only, texts};
 
 /// What a layer is exported to.
@@ -150,8 +152,8 @@ async fn written(reader: &MapReader, layer: &str, args: &ExportArgs) -> Result<(
             let picture = out.with_extension("pgm");
             let name = picture.file_name().unwrap_or_default().to_string_lossy();
             let mask = nav2::mask(&batches, site, &name)?;
-            write_file(&picture, &mask.picture)?;
-            write_file(out, mask.yaml.as_bytes())
+            let yaml = (out.to_owned(), mask.yaml.as_bytes());
+            write_together(&[(picture, &mask.picture), yaml])
         }
         ExportFormat::Nav2Route => {
             let graph = nav2_route::text(reader, &batches, site).await?;
@@ -169,15 +171,19 @@ async fn written(reader: &MapReader, layer: &str, args: &ExportArgs) -> Result<(
         }
         ExportFormat::Png => {
             let (picture, site) = ground::picture(&batches, selection.zoom)?;
-            write_file(out, &picture.png()?)?;
-            let place = earth.place(&site);
-            match place {
-                Some(place) => write_file(&beside(out), place.pam_dataset().as_bytes())?,
+            let (png, place) = (picture.png()?, earth.place(&site));
+            let world = picture.world_file(place);
+            let dataset = place.map(|place| place.pam_dataset());
+            let mut files = vec![
+                (out.to_owned(), png.as_slice()),
+                (out.with_extension("pgw"), world.as_bytes()),
+            ];
+            match &dataset {
+                Some(dataset) => files.push((beside(out), dataset.as_bytes())),
                 // One of an earlier export would be believed.
                 None => drop(std::fs::remove_file(beside(out))),
             }
-            let world = picture.world_file(place);
-            write_file(&out.with_extension("pgw"), world.as_bytes())
+            write_together(&files)
         }
         ExportFormat::Geotiff => {
             let (picture, site) = ground::picture(&batches, selection.zoom)?;

@@ -19,7 +19,7 @@ use futures::{Stream, StreamExt};
 pub use columnar::{CRS, GEOMETRY, with_columns};
 pub use folder::Folder;
 pub use place::outside_of_maps;
-pub use sink::{Sink, write_file};
+pub use sink::{Sink, write_file, write_together};
 pub use writers::RowWriter;
 
 use crate::ending::Failure;

@@ -174,6 +174,34 @@ pub fn write_file(path: &Path, bytes: &[u8]) -> Result<(), Failure> {
     sink.finish()
 }
 
+/// Writes a file, and others beside it that it is nothing without: all, or, as far as there is room, none. They get their names
+/// in this order.
+///
+/// # Errors
+/// As [`write_file`], and a user fault where two have one name, or where there is nothing to be beside.
+pub fn write_together(files: &[(PathBuf, &[u8])]) -> Result<(), Failure> {
+    let mut sinks = Vec::with_capacity(files.len());
+    for (number, (path, bytes)) in files.iter().enumerate() {
+        let mut sink = Sink::file(path)?;
+        let is_named = matches!(sink, Sink::Temporary(..));
+        let is_other = files[..number].iter().all(|(other, _)| other != path);
+        if !(is_named && is_other) {
+            let found = format!(
+                "expected names for {} files, which belong together, found {}",
+                files.len(),
+                path.display()
+            );
+            return Err(Fault::user(found)
+                .next("name a file with another ending: the others are written beside it")
+                .into());
+        }
+        sink.write_all(bytes)?;
+        sink.flush()?;
+        sinks.push(sink);
+    }
+    sinks.into_iter().try_for_each(Sink::finish)
+}
+
 #[cfg(test)]
 mod tests {
     #![allow(clippy::unwrap_used)]
@@ -197,6 +225,25 @@ mod tests {
         write_file(&path, b"two").unwrap();
         assert_eq!(std::fs::read(&path).unwrap(), b"two");
         assert!(Sink::file(Path::new("/no/such/folder/a")).is_err());
+    }
+
+    #[test]
+    fn files_that_belong_together_have_names_of_their_own() {
+        let folder = tempfile::tempdir().unwrap();
+        let within = |name: &str| folder.path().join(name);
+        let both = |one: &str, other: &str| {
+            write_together(&[(within(one), b"one"), (within(other), b"other")])
+        };
+        both("a.pgm", "a.yaml").unwrap();
+        assert_eq!(std::fs::read(within("a.yaml")).unwrap(), b"other");
+        let refused = format!("{:?}", both("b.pgm", "b.pgm").unwrap_err());
+        assert!(refused.contains("names for 2 files"), "{refused}");
+        std::fs::create_dir(within("c.yaml")).unwrap();
+        both("c.pgm", "no folder/c.yaml").unwrap_err();
+        assert!(!within("b.pgm").exists() && !within("c.pgm").exists());
+        let device = (PathBuf::from("/dev/null"), b"one".as_slice());
+        assert!(write_together(&[device]).is_err());
+        assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 3);
     }
 
     #[cfg(unix)]

@@ -15,7 +15,7 @@ use serde::{Deserialize, Serialize};
 use super::presence::look;
 use crate::geometry::camera::Camera;
 use crate::geometry::pose::Pose;
-use crate::ground::cells::{Cell, between, middle};
+use crate::ground::cells::{Cell, MOST_CELLS, between, middle};
 use crate::ground::floor::{Floor, FloorPart};
 
 /// How the ground and time are cut up, and how far people are found.
@@ -44,7 +44,34 @@ impl Default for ExposureParams {
     }
 }
 
+/// More ground around a camera than has cells of this size.
+#[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
+#[error(
+    "expected range_m of at most {most:.0} × cell_m, found {range_m} and {cell_m}",
+    most = ExposureParams::most_cells_away(), range_m = .found.range_m, cell_m = .found.cell_m
+)]
+pub struct ExposureParamsError {
+    /// The parameters given.
+    pub found: ExposureParams,
+}
+
 impl ExposureParams {
+    /// Whether the ground around a camera has no more than [`MOST_CELLS`].
+    ///
+    /// # Errors
+    /// [`ExposureParamsError`] where it has.
+    pub fn check(&self) -> Result<(), ExposureParamsError> {
+        match self.range_m <= Self::most_cells_away() * self.cell_m {
+            true => Ok(()),
+            false => Err(ExposureParamsError { found: *self }),
+        }
+    }
+
+    /// How many cells the range has at most: half a side of the square around a camera, without its rim.
+    fn most_cells_away() -> f64 {
+        ((MOST_CELLS as f64).sqrt() - 2.0) / 2.0
+    }
+
     /// Length of a look, ns.
     pub fn look_ns(&self) -> i64 {
         look_ns(self.look_s)
@@ -178,12 +205,15 @@ pub struct Looked {
 
 impl Shot<'_> {
     /// The cells in which it would show a person. `body` says whether a pixel shows the vehicle itself.
+    ///
+    /// # Errors
+    /// In words, where there is no ground or there are no cells around the vehicle.
     pub fn shows(
         &self,
         around: &Surroundings<'_>,
         body: impl Fn([f64; 2]) -> bool,
         params: &ExposureParams,
-    ) -> Vec<Cell> {
+    ) -> Result<Vec<Cell>, &'static str> {
         let mut shown = Vec::new();
         let camera = self.camera;
         let map_from_camera = self.map_from_vehicle.compose(self.vehicle_from_camera);
@@ -192,12 +222,10 @@ impl Shot<'_> {
         let low = [eye.x - range_m, eye.y - range_m];
         let high = [eye.x + range_m, eye.y + range_m];
         let floor = around.floor.within([low[0], low[1], high[0], high[1]]);
-        let Some(ground) = Ground::below(self.map_from_vehicle, floor) else {
-            return shown;
-        };
-        let Some([columns, rows]) = between(low, high, params.cell_m) else {
-            return shown;
-        };
+        let ground = Ground::below(self.map_from_vehicle, floor);
+        let ground = ground.ok_or("image of a vehicle that lies on its side")?;
+        let cells = between(low, high, params.cell_m);
+        let [columns, rows] = cells.ok_or("image too far from the map's origin to count cells")?;
         let horizon = Horizon::new(eye, &ground, around.standing, range_m);
         let camera_from_map = map_from_camera.inverse();
         let pixel = |x: f64, y: f64, z: f64| {
@@ -219,7 +247,7 @@ impl Shot<'_> {
                 }
             }
         }
-        shown
+        Ok(shown)
     }
 }
 

@@ -158,7 +158,11 @@ fn what_an_image_would_show_counts_once_a_look() {
                 camera: &camera,
                 vehicle_from_camera: &mount,
             };
-            looks.add(*stamp, &shot.shows(&around, body, &params), &params);
+            looks.add(
+                *stamp,
+                &shot.shows(&around, body, &params).unwrap(),
+                &params,
+            );
         }
         looks.into_cells()
     };
@@ -220,7 +224,9 @@ fn people_stand_on_the_floor_that_bends() {
             vehicle_from_camera: &mount,
         };
         let cell = cell_of([3.1, 0.1], params.cell_m).unwrap();
-        shot.shows(&around, |_| false, &params).contains(&cell)
+        shot.shows(&around, |_| false, &params)
+            .unwrap()
+            .contains(&cell)
     };
     let [same, above] = [0.0, 3.0].map(|z| {
         let poses: Vec<Pose> = (20..40).map(level(z)).collect();

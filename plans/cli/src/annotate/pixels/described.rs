@@ -44,6 +44,9 @@ pub(super) fn which_are(
             .position(|canvas| is_file(name, &canvas.name))
     };
     let mut chosen: Vec<Option<usize>> = described.iter().map(called).collect();
+    if described.is_empty() {
+        losses.remark("note: the file has annotations of no picture");
+    }
     if chosen.iter().all(Option::is_none) {
         let is_only = described.windows(2).all(|two| two[0].name == two[1].name);
         let [canvas] = canvases else {
