@@ -25,7 +25,7 @@ use crate::{listing, roles};
 const OPEN_AT_ONCE: usize = 8;
 
 /// Sessions with their indexes read, and the ledger of what could not be read.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, Default)]
 pub struct Dataset {
     /// Sessions, ordered by name.
     pub sessions: Vec<Session>,
