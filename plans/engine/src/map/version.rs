@@ -68,8 +68,13 @@ pub struct MappedSession {
 impl MappedSession {
     /// The session of a name among some that are sorted by name.
     pub fn named<'s>(sorted: &'s [Self], name: &str) -> Option<&'s Self> {
+        Self::place(sorted, name).map(|place| &sorted[place])
+    }
+
+    /// Where it is among them.
+    pub fn place(sorted: &[Self], name: &str) -> Option<usize> {
         let place = sorted.binary_search_by(|session| session.log.session.as_str().cmp(name));
-        place.ok().map(|place| &sorted[place])
+        place.ok()
     }
 }
 

@@ -16,7 +16,7 @@ use crate::map::store::{ARTIFACTS, each};
 use crate::map::version::{Previous, StoredLayer};
 use crate::program::Stage;
 use crate::run::mend::{Makers, Mending};
-use crate::run::pending::{Pending, UnitId};
+use crate::run::pending::Pending;
 use crate::run::previous_units::PreviousUnits;
 use crate::run::runner::{Report, Runner};
 use crate::run::skip_reasons::SkipReasons;
@@ -37,9 +37,9 @@ pub struct Driver<'r, 'a> {
     /// How many units each still waits for.
     waiting: Vec<usize>,
     /// The units that wait for each.
-    dependents: BTreeMap<UnitId, Vec<usize>>,
-    /// What was done, and whether it had been done before.
-    receipts: BTreeMap<UnitId, (Receipt, bool)>,
+    dependents: Vec<Vec<usize>>,
+    /// What was done of each, and whether it had been done before.
+    receipts: Vec<Option<(Receipt, bool)>>,
     /// Receipts that were taken away, as their rows are damaged.
     damaged: Mutex<Makers>,
 }
@@ -51,10 +51,13 @@ impl<'r, 'a> Driver<'r, 'a> {
     /// As [`Run::units`] and [`Run::previous`].
     pub fn new(run: &'r Run<'a>, lease: &'r Lease, sound: Sound<'r>) -> Result<Self, Fault> {
         let units = run.units()?;
-        let mut dependents: BTreeMap<UnitId, Vec<usize>> = BTreeMap::new();
+        let mut dependents = vec![Vec::new(); units.len()];
+        let mut waiting = Vec::with_capacity(units.len());
         for (index, unit) in units.iter().enumerate() {
-            for earlier in &unit.before {
-                dependents.entry(earlier.clone()).or_default().push(index);
+            let before = unit.before();
+            waiting.push(before.len());
+            for earlier in before {
+                dependents[earlier].push(index);
             }
         }
         Ok(Self {
@@ -63,9 +66,9 @@ impl<'r, 'a> Driver<'r, 'a> {
             previous: run.previous()?,
             held: run.held(),
             sound,
-            waiting: units.iter().map(|unit| unit.before.len()).collect(),
+            waiting,
             dependents,
-            receipts: BTreeMap::new(),
+            receipts: units.iter().map(|_| None).collect(),
             damaged: Mutex::default(),
             units,
         })
@@ -192,15 +195,12 @@ impl<'r, 'a> Driver<'r, 'a> {
             receipt: &receipt,
             cached,
         });
-        let id = &self.units[index].id;
-        self.receipts.insert(id.clone(), (receipt, cached));
-        let mut ready = Vec::new();
-        for &later in self.dependents.get(id).into_iter().flatten() {
+        self.receipts[index] = Some((receipt, cached));
+        let mut ready = std::mem::take(&mut self.dependents[index]);
+        ready.retain(|&later| {
             self.waiting[later] -= 1;
-            if self.waiting[later] == 0 {
-                ready.push(later);
-            }
-        }
+            self.waiting[later] == 0
+        });
         ready
     }
 
@@ -209,7 +209,7 @@ impl<'r, 'a> Driver<'r, 'a> {
     }
 
     async fn unit(&self, index: usize) -> Result<Unit, Fault> {
-        let artifact = |id: &UnitId| Ok(self.receipt(id)?.artifact.clone());
+        let artifact = |earlier| Ok(self.receipt(earlier)?.artifact.clone());
         let unit = &self.units[index];
         let before = self.held.once(unit).await?;
         let unit = unit.assemble(self.run, &self.previous, before.as_ref(), artifact)?;
@@ -219,9 +219,9 @@ impl<'r, 'a> Driver<'r, 'a> {
         })
     }
 
-    fn receipt(&self, id: &UnitId) -> Result<&Receipt, Fault> {
-        let missing = || Fault::bug(format!("{} was not run", id.label()));
-        let (receipt, _) = self.receipts.get(id).ok_or_else(missing)?;
+    fn receipt(&self, index: usize) -> Result<&Receipt, Fault> {
+        let missing = || Fault::bug(format!("{} was not run", self.label(index)));
+        let (receipt, _) = self.receipts[index].as_ref().ok_or_else(missing)?;
         Ok(receipt)
     }
 
@@ -236,7 +236,7 @@ impl<'r, 'a> Driver<'r, 'a> {
             Ok(store.list(folder).await?.into_iter().collect())
         };
         let (there, sizes) = (listed(RECEIPTS).await?, listed(ARTIFACTS).await?);
-        let receipts = self.receipts.values().map(|(receipt, _)| receipt);
+        let receipts = self.receipts.iter().flatten().map(|(receipt, _)| receipt);
         let vanished = |receipt: &&Receipt| !there.contains_key(&Receipt::name(&receipt.digest));
         let vanished = receipts.clone().filter(vanished);
         each(vanished.map(|receipt| receipt.write(store))).await?;
@@ -249,12 +249,13 @@ impl<'r, 'a> Driver<'r, 'a> {
     }
 
     /// Every unit that is done: its stage, its receipt, whether it had been done before.
-    pub fn done(mut self) -> Vec<(String, Receipt, bool)> {
-        let done = |unit: Pending| {
-            let (receipt, cached) = self.receipts.remove(&unit.id)?;
+    pub fn done(self) -> Vec<(String, Receipt, bool)> {
+        let units = self.units.into_iter().zip(self.receipts);
+        let done = units.filter_map(|(unit, done)| {
+            let (receipt, cached) = done?;
             Some((unit.id.stage, receipt, cached))
-        };
-        self.units.into_iter().filter_map(done).collect()
+        });
+        done.collect()
     }
 
     /// The layers of the version that comes of it.
@@ -263,8 +264,8 @@ impl<'r, 'a> Driver<'r, 'a> {
     /// A bug fault for a unit that was not run.
     pub fn layers(&self) -> Result<BTreeMap<String, StoredLayer>, Fault> {
         let mut layers: BTreeMap<String, StoredLayer> = BTreeMap::new();
-        for unit in &self.units {
-            let (stage, receipt) = (&unit.id.stage, self.receipt(&unit.id)?);
+        for (index, unit) in self.units.iter().enumerate() {
+            let (stage, receipt) = (&unit.id.stage, self.receipt(index)?);
             let layer = layers.entry(stage.clone()).or_insert_with(|| StoredLayer {
                 published: self.run.program.write.contains(stage),
                 op: unit.stages.last().and_then(Stage::op).map(str::to_owned),
@@ -280,13 +281,13 @@ impl<'r, 'a> Driver<'r, 'a> {
     /// read it.
     pub fn losses(&self) -> BTreeMap<String, u64> {
         let mut told = SkipReasons::default();
-        for unit in &self.units {
-            if let Some((receipt, _)) = self.receipts.get(&unit.id) {
+        for (unit, done) in self.units.iter().zip(&self.receipts) {
+            if let Some((receipt, _)) = done {
                 told.add(&unit.id, &receipt.skipped);
             }
         }
         let mut losses = told.lines();
-        for (receipt, _) in self.receipts.values() {
+        for (receipt, _) in self.receipts.iter().flatten() {
             for (reason, count) in &receipt.log_losses {
                 let held = losses.entry(reason.clone()).or_default();
                 *held = (*held).max(*count);

@@ -64,9 +64,9 @@ pub struct Run<'a> {
     /// The map.
     pub store: &'a Store,
     /// All sessions of the coming version, sorted by name.
-    pub sessions: Vec<MappedSession>,
+    pub sessions: &'a [MappedSession],
     /// The version before.
-    pub base: Option<Version>,
+    pub base: Option<&'a Version>,
     /// What one unit may use.
     pub limits: Limits,
 }

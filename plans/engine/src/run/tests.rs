@@ -57,12 +57,13 @@ async fn executed(store: &Store, program: &Program, registry: &Registry) -> RunR
         manifest: Manifest::default(),
         times: None,
     };
+    let base = Version::latest(store).await.unwrap();
     let run = Run {
         program,
         registry,
         store,
-        sessions: vec![session],
-        base: Version::latest(store).await.unwrap(),
+        sessions: &[session],
+        base: base.as_ref(),
         limits: Limits::one_partition(),
     };
     let runner = LocalRunner::new(registry.clone(), 2);
