@@ -1,6 +1,6 @@
 //! A run at work: ready units are begun, what they leave makes others ready.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Mutex;
 
 use evermap_schemas::Fault;
@@ -22,6 +22,9 @@ use crate::run::runner::{Report, Runner};
 use crate::run::skip_reasons::SkipReasons;
 use crate::run::{Event, Run};
 use crate::unit::Unit;
+
+/// Units that are looked for at once, whether they were done before.
+const LOOKED_FOR: usize = 256;
 
 /// A run under way, unit by unit.
 pub struct Driver<'r, 'a> {
@@ -88,30 +91,24 @@ impl<'r, 'a> Driver<'r, 'a> {
         runner: &dyn Runner,
         observe: &mut (dyn FnMut(Event<'_>) + Send),
     ) -> Result<(), Fault> {
+        let (room, mut at_work) = (runner.room(), 0);
         let mut running = SelectAll::new();
-        let mut ready: Vec<usize> = (0..self.units.len())
-            .filter(|&index| self.waiting[index] == 0)
-            .collect();
+        let is_ready = |index: &usize| self.waiting[*index] == 0;
+        let mut ready: BTreeSet<usize> = (0..self.units.len()).filter(is_ready).collect();
         let mut first_fault: Option<Fault> = None;
         loop {
-            let mut fresh = Vec::new();
-            while !ready.is_empty() {
-                let units = std::mem::take(&mut ready);
-                for (index, unit, receipt) in self.done_before(&units).await? {
-                    match receipt {
-                        Some(receipt) => ready.extend(self.finish(index, receipt, true, observe)),
-                        None => fresh.push((index, unit)),
-                    }
-                }
-            }
-            fresh.sort_by_key(|(index, _)| *index);
-            self.mend_previous(&fresh, runner).await?;
-            if !fresh.is_empty() && first_fault.is_none() {
+            // Many at once, as a store of objects answers late.
+            if at_work <= room / 2 && first_fault.is_none() {
+                let fresh = self.fresh(&mut ready, room - at_work, observe).await?;
+                self.mend_previous(&fresh, runner).await?;
                 for (index, _) in &fresh {
                     let label = &self.label(*index);
                     observe(Event::Started { label });
                 }
-                running.push(runner.start(fresh));
+                if !fresh.is_empty() {
+                    at_work += fresh.len();
+                    running.push(runner.start(fresh));
+                }
             }
             match running.next().await {
                 None => break,
@@ -119,15 +116,41 @@ impl<'r, 'a> Driver<'r, 'a> {
                     let label = &self.label(index);
                     observe(Event::Advanced { label, share });
                 }
-                Some((index, Report::Ended(Ok(receipt)))) => {
-                    ready.extend(self.finish(index, *receipt, false, observe))
-                }
-                Some((index, Report::Ended(Err(fault)))) => {
-                    first_fault.get_or_insert_with(|| fault.at(self.label(index)));
+                Some((index, Report::Ended(ended))) => {
+                    at_work -= 1;
+                    match ended {
+                        Ok(receipt) => ready.extend(self.finish(index, *receipt, false, observe)),
+                        Err(fault) => {
+                            first_fault.get_or_insert_with(|| fault.at(self.label(index)));
+                        }
+                    }
                 }
             }
         }
         first_fault.map_or(Ok(()), Err)
+    }
+
+    /// The first of the units that are ready and were not done before, at most so many. Those that were are done now, which may
+    /// make others ready.
+    async fn fresh(
+        &mut self,
+        ready: &mut BTreeSet<usize>,
+        room: usize,
+        observe: &mut (dyn FnMut(Event<'_>) + Send),
+    ) -> Result<Vec<(usize, Unit)>, Fault> {
+        let mut fresh = Vec::new();
+        while fresh.len() < room && !ready.is_empty() {
+            let most = LOOKED_FOR.min(room - fresh.len());
+            let units: Vec<usize> = (0..most).map_while(|_| ready.pop_first()).collect();
+            for (index, unit, receipt) in self.done_before(&units).await? {
+                match receipt {
+                    Some(receipt) => ready.extend(self.finish(index, receipt, true, observe)),
+                    None => fresh.push((index, unit)),
+                }
+            }
+        }
+        fresh.sort_by_key(|(index, _)| *index);
+        Ok(fresh)
     }
 
     /// These units, each with its receipt where it was done before and its rows are what was written then.
