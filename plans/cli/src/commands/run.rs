@@ -203,7 +203,7 @@ async fn runner(
 }
 
 fn summary(result: &RunResult, elapsed: Duration) -> String {
-    let computed = result.units.iter().filter(|(_, _, cached)| !cached).count();
+    let computed = result.units.iter().filter(|(_, done)| !done.cached).count();
     let reused = result.units.len() - computed;
     let end = if result.published {
         "published"

@@ -15,6 +15,7 @@ use crate::map::sound::Sound;
 use crate::map::store::{ARTIFACTS, each};
 use crate::map::version::{Previous, StoredLayer};
 use crate::program::Stage;
+use crate::run::done::{Done, KnownNodes};
 use crate::run::mend::{Makers, Mending};
 use crate::run::pending::Pending;
 use crate::run::previous_units::PreviousUnits;
@@ -41,8 +42,10 @@ pub struct Driver<'r, 'a> {
     waiting: Vec<usize>,
     /// The units that wait for each.
     dependents: Vec<Vec<usize>>,
-    /// What was done of each, and whether it had been done before.
-    receipts: Vec<Option<(Receipt, bool)>>,
+    /// Those that are done.
+    done: Vec<Option<Done>>,
+    /// What the nodes of their plans are called.
+    nodes: KnownNodes,
     /// Receipts that were taken away, as their rows are damaged.
     damaged: Mutex<Makers>,
 }
@@ -71,7 +74,8 @@ impl<'r, 'a> Driver<'r, 'a> {
             sound,
             waiting,
             dependents,
-            receipts: units.iter().map(|_| None).collect(),
+            done: units.iter().map(|_| None).collect(),
+            nodes: KnownNodes::new(),
             damaged: Mutex::default(),
             units,
         })
@@ -162,7 +166,7 @@ impl<'r, 'a> Driver<'r, 'a> {
     }
 
     async fn found_before(&self, index: usize) -> Result<(usize, Unit, Option<Receipt>), Fault> {
-        let mut unit = self.unit(index).await?;
+        let unit = self.unit(index).await?;
         let digest = unit.recipe.digest()?;
         let known = (&self.sound, &self.held);
         let found = self.run.found(known, &self.units[index], &digest);
@@ -174,12 +178,7 @@ impl<'r, 'a> Driver<'r, 'a> {
                 locked(&self.damaged).insert(damage.file, receipt);
                 None
             }
-            // Of equal digest: one recipe is kept, and of its stages one for all units.
-            Some((receipt, None)) => Some(Receipt {
-                recipe: std::mem::replace(&mut unit.recipe, receipt.recipe),
-                ..receipt
-            }),
-            None => None,
+            found => found.map(|(receipt, _)| receipt),
         };
         Ok((index, unit, receipt))
     }
@@ -218,7 +217,7 @@ impl<'r, 'a> Driver<'r, 'a> {
             receipt: &receipt,
             cached,
         });
-        self.receipts[index] = Some((receipt, cached));
+        self.done[index] = Some(Done::of(receipt, cached, &mut self.nodes));
         let mut ready = std::mem::take(&mut self.dependents[index]);
         ready.retain(|&later| {
             self.waiting[later] -= 1;
@@ -232,7 +231,7 @@ impl<'r, 'a> Driver<'r, 'a> {
     }
 
     async fn unit(&self, index: usize) -> Result<Unit, Fault> {
-        let artifact = |earlier| Ok(self.receipt(earlier)?.artifact.clone());
+        let artifact = |earlier| Ok(self.end(earlier)?.artifact.clone());
         let unit = &self.units[index];
         let before = self.held.once(unit).await?;
         let unit = unit.assemble(self.run, &self.previous, before.as_ref(), artifact)?;
@@ -242,10 +241,9 @@ impl<'r, 'a> Driver<'r, 'a> {
         })
     }
 
-    fn receipt(&self, index: usize) -> Result<&Receipt, Fault> {
+    fn end(&self, index: usize) -> Result<&Done, Fault> {
         let missing = || Fault::bug(format!("{} was not run", self.label(index)));
-        let (receipt, _) = self.receipts[index].as_ref().ok_or_else(missing)?;
-        Ok(receipt)
+        self.done[index].as_ref().ok_or_else(missing)
     }
 
     /// What of the units that are done is no longer there, as far as sizes tell. Receipts that have vanished are written
@@ -254,30 +252,47 @@ impl<'r, 'a> Driver<'r, 'a> {
     /// # Errors
     /// A resource fault when the store does not answer.
     pub async fn gone(&self) -> Result<Vec<Damage>, Fault> {
-        let store = self.run.store;
-        let listed = async |folder| -> Result<BTreeMap<String, u64>, Fault> {
-            Ok(store.list(folder).await?.into_iter().collect())
-        };
-        let (there, sizes) = (listed(RECEIPTS).await?, listed(ARTIFACTS).await?);
-        let receipts = self.receipts.iter().flatten().map(|(receipt, _)| receipt);
-        let vanished = |receipt: &&Receipt| !there.contains_key(&Receipt::name(&receipt.digest));
-        let vanished = receipts.clone().filter(vanished);
-        each(vanished.map(|receipt| receipt.write(store))).await?;
-        let artifacts = receipts.map(|receipt| &receipt.artifact);
-        let gone = artifacts.filter_map(|artifact| {
-            let size = sizes.get(&artifact.name()).copied();
-            artifact.size_differs(size)
+        let there = self.listed(RECEIPTS).await?;
+        let vanished = |done: &Done| !there.contains_key(&Receipt::name(&done.digest));
+        let vanished = self.ends().filter(|(_, done)| vanished(done));
+        let again = each(vanished.map(|(index, done)| self.write_again(index, done))).await?;
+        let sizes = self.listed(ARTIFACTS).await?;
+        let gone = self.ends().filter_map(|(_, done)| {
+            let size = sizes.get(&done.artifact.name()).copied();
+            done.artifact.size_differs(size)
         });
-        Ok(gone.collect())
+        Ok(again.into_iter().flatten().chain(gone).collect())
     }
 
-    /// Every unit that is done: its stage, its receipt, whether it had been done before.
-    pub fn done(self) -> Vec<(String, Receipt, bool)> {
-        let units = self.units.into_iter().zip(self.receipts);
-        let done = units.filter_map(|(unit, done)| {
-            let (receipt, cached) = done?;
-            Some((unit.id.stage, receipt, cached))
-        });
+    /// The names in a folder of the map, with their sizes.
+    async fn listed(&self, folder: &str) -> Result<BTreeMap<String, u64>, Fault> {
+        Ok(self.run.store.list(folder).await?.into_iter().collect())
+    }
+
+    /// Writes a receipt again, whose recipe follows from what the unit read. Where that is not what it was, it is gone.
+    async fn write_again(&self, index: usize, done: &Done) -> Result<Option<Damage>, Fault> {
+        let recipe = self.unit(index).await?.recipe;
+        if recipe.digest()? == done.digest {
+            done.receipt(recipe).write(self.run.store).await?;
+            return Ok(None);
+        }
+        Ok(Some(Damage {
+            file: Receipt::name(&done.digest),
+            expected: format!("the receipt of {}", self.label(index)),
+            found: None,
+        }))
+    }
+
+    /// The units that are done.
+    fn ends(&self) -> impl Iterator<Item = (usize, &Done)> {
+        let ends = self.done.iter().enumerate();
+        ends.filter_map(|(index, done)| Some((index, done.as_ref()?)))
+    }
+
+    /// Every unit that is done, with its stage.
+    pub fn done(self) -> Vec<(String, Done)> {
+        let units = self.units.into_iter().zip(self.done);
+        let done = units.filter_map(|(unit, done)| Some((unit.id.stage, done?)));
         done.collect()
     }
 
@@ -288,14 +303,14 @@ impl<'r, 'a> Driver<'r, 'a> {
     pub fn layers(&self) -> Result<BTreeMap<String, StoredLayer>, Fault> {
         let mut layers: BTreeMap<String, StoredLayer> = BTreeMap::new();
         for (index, unit) in self.units.iter().enumerate() {
-            let (stage, receipt) = (&unit.id.stage, self.receipt(index)?);
+            let (stage, done) = (&unit.id.stage, self.end(index)?);
             let layer = layers.entry(stage.clone()).or_insert_with(|| StoredLayer {
                 published: self.run.program.write.contains(stage),
                 op: unit.stages.last().and_then(Stage::op).map(str::to_owned),
                 ..StoredLayer::default()
             });
-            layer.artifacts.push(receipt.artifact.clone());
-            layer.recipes.push(receipt.digest.clone());
+            layer.artifacts.push(done.artifact.clone());
+            layer.recipes.push(done.digest.clone());
         }
         Ok(layers)
     }
@@ -304,17 +319,13 @@ impl<'r, 'a> Driver<'r, 'a> {
     /// read it.
     pub fn losses(&self) -> BTreeMap<String, u64> {
         let mut told = SkipReasons::default();
-        for (unit, done) in self.units.iter().zip(&self.receipts) {
-            if let Some((receipt, _)) = done {
-                told.add(&unit.id, &receipt.skipped);
-            }
+        for (index, done) in self.ends() {
+            told.add(&self.units[index].id, &done.skipped);
         }
         let mut losses = told.lines();
-        for (receipt, _) in self.receipts.iter().flatten() {
-            for (reason, count) in &receipt.log_losses {
-                let held = losses.entry(reason.clone()).or_default();
-                *held = (*held).max(*count);
-            }
+        for (reason, count) in self.ends().flat_map(|(_, done)| &done.log_losses) {
+            let held = losses.entry(reason.clone()).or_default();
+            *held = (*held).max(*count);
         }
         losses
     }

@@ -55,6 +55,7 @@ async fn executed(
     program: &Program,
     registry: &Registry,
     runner: &dyn Runner,
+    observe: &mut (dyn FnMut(Event<'_>) + Send),
 ) -> RunResult {
     let session = MappedSession {
         log: LogContent {
@@ -75,7 +76,7 @@ async fn executed(
         base: base.as_ref(),
         limits: Limits::one_partition(),
     };
-    match run.execute(runner, &mut |_| ()).await.unwrap() {
+    match run.execute(runner, observe).await.unwrap() {
         RunEnd::Done(result) => *result,
         RunEnd::Overtaken { by } => panic!("version {by} is nobody's"),
     }
@@ -131,17 +132,17 @@ async fn what_is_reused_is_read_side_by_side_and_once() {
     let folder = tempfile::tempdir().unwrap();
     let store = Store::open(folder.path().to_str().unwrap(), true).unwrap();
     let runner = LocalRunner::new(registry.clone(), 2);
-    let first = executed(&store, &program, &registry, &runner).await;
+    let first = executed(&store, &program, &registry, &runner, &mut |_| ()).await;
     let units = first.units.iter();
-    let files: BTreeSet<String> = units.map(|(_, done, _)| done.artifact.name()).collect();
+    let files: BTreeSet<String> = units.map(|(_, done)| done.artifact.name()).collect();
     assert_eq!((first.units.len(), files.len()), (4, 3));
 
     let (asked, count) = watch::channel(0);
     let least = files.len();
     let reads = Together { asked, least };
     let store = store.over(|store| Arc::new(Watched { store, reads }));
-    let again = executed(&store, &program, &registry, &runner).await;
-    assert!(again.units.iter().all(|(_, _, cached)| *cached));
+    let again = executed(&store, &program, &registry, &runner, &mut |_| ()).await;
+    assert!(again.units.iter().all(|(_, done)| done.cached));
     assert_eq!((again.published, *count.borrow()), (false, least));
 }
 
@@ -182,7 +183,28 @@ async fn no_more_units_are_put_together_than_a_runner_has_room_for() {
         at_work: Arc::default(),
         most: AtomicUsize::new(0),
     };
-    let result = executed(&store, &program, &registry, &runner).await;
+    let result = executed(&store, &program, &registry, &runner, &mut |_| ()).await;
     assert_eq!((result.units.len(), result.published), (4, true));
     assert_eq!(runner.most.into_inner(), 2);
+}
+
+#[tokio::test]
+async fn receipts_that_vanish_before_a_version_is_published_are_written_again() {
+    let registry = Registry::default();
+    let program = program(&registry).await;
+    let folder = tempfile::tempdir().unwrap();
+    let store = Store::open(folder.path().to_str().unwrap(), true).unwrap();
+    let runner = LocalRunner::new(registry.clone(), 2);
+    let mut vanish = |event: Event<'_>| {
+        if let Event::Done { receipt, .. } = event {
+            std::fs::remove_file(folder.path().join(Receipt::name(&receipt.digest))).unwrap();
+        }
+    };
+    let result = executed(&store, &program, &registry, &runner, &mut vanish).await;
+    for (stage, done) in &result.units {
+        let receipt = Receipt::read(&store, &done.digest).await.unwrap().unwrap();
+        assert_eq!(receipt.recipe.digest().unwrap(), done.digest);
+        assert_eq!(receipt.recipe.stages.last().unwrap().name, *stage);
+        assert_eq!(receipt, done.receipt(receipt.recipe.clone()));
+    }
 }
