@@ -25,7 +25,7 @@ use crate::{listing, roles};
 const OPEN_AT_ONCE: usize = 8;
 
 /// Sessions with their indexes read, and the ledger of what could not be read.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, Default)]
 pub struct Dataset {
     /// Sessions, ordered by name.
     pub sessions: Vec<Session>,
@@ -281,7 +281,9 @@ async fn open_session(
     for (number, part) in parts.iter_mut().enumerate() {
         part.part = number as u32;
     }
-    let parts: Vec<Arc<LogPart>> = parts.into_iter().map(Arc::new).collect();
+    let mut parts: Vec<Arc<LogPart>> = parts.into_iter().map(Arc::new).collect();
+    // They were collected in the place of the parts themselves, which takes some kilobytes.
+    parts.shrink_to_fit();
     let topics = topics_of(&parts);
     let mut resolved = Roles::named(roles, given, &topics)?;
     let of_vehicle = OfVehicle::of(roles, &parts, &topics, &resolved, said.vehicle).await;

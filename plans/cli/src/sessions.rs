@@ -51,11 +51,14 @@ pub async fn prepare(args: &PlanArgs, registry: &Registry, map: &str) -> Result<
 const READING: &str = "reading logs";
 
 /// As [`prepare`], of what is then run: logs that are read are remembered, and where that takes long it is said on stderr
-/// how far it is.
+/// how far it is. The logs, opened, are for who tells what is odd about them: units open their own.
 ///
 /// # Errors
 /// As [`prepare`], or that the map cannot be written.
-pub async fn prepare_run(args: &RunArgs, registry: &Registry) -> Result<Prepared, Failure> {
+pub async fn prepare_run(
+    args: &RunArgs,
+    registry: &Registry,
+) -> Result<(Prepared, Dataset), Failure> {
     let plan = shipped::of(&args.input)?;
     let manifest = manifest(&args.input.sessions)?;
     let sessions = &args.input.sessions.sessions;
@@ -76,7 +79,9 @@ pub async fn prepare_run(args: &RunArgs, registry: &Registry) -> Result<Prepared
     if let Some(progress) = progress {
         progress.finish();
     }
-    Ok(prepared?)
+    let mut prepared = prepared?;
+    let logs = std::mem::take(&mut prepared.logs);
+    Ok((prepared, logs))
 }
 
 /// Opens the sessions, and says on stderr what was chosen for the person. They are read for the vehicle that a plan says, if

@@ -328,8 +328,8 @@ impl Prepared {
             program: &self.program,
             registry,
             store: &self.store,
-            sessions: self.sessions.clone(),
-            base: self.base.clone(),
+            sessions: &self.sessions,
+            base: self.base.as_ref(),
             limits,
         }
     }

@@ -81,6 +81,10 @@ impl WithinProcess {
 }
 
 impl Runner for WithinProcess {
+    fn room(&self) -> usize {
+        self.cluster.room()
+    }
+
     fn start(&self, units: Vec<(usize, Unit)>) -> BoxStream<'static, UnitReport> {
         self.cluster.start(units)
     }

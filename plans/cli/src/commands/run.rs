@@ -35,7 +35,7 @@ use crate::{clocks, fixes, masks, odometry_frame, operators};
 pub async fn run(args: &RunArgs, unfinished: &Unfinished) -> Ending {
     let begun = Instant::now();
     let registry = operators::registry();
-    let mut prepared = sessions::prepare_run(args, &registry).await?;
+    let (mut prepared, logs) = sessions::prepare_run(args, &registry).await?;
     if let (Some(replaced), false) = (prepared.replaced.first(), args.replace) {
         return Err(is_another_log(replaced).into());
     }
@@ -49,18 +49,18 @@ pub async fn run(args: &RunArgs, unfinished: &Unfinished) -> Ending {
     let notes = prepared.notes.iter();
     notes.for_each(|note| line(&format!("note: {note}")));
     warn_of_missing(&prepared);
-    if let Some(warning) = masks::warning(&masks::masked(&prepared.program), &prepared.logs).await?
-    {
+    if let Some(warning) = masks::warning(&masks::masked(&prepared.program), &logs).await? {
         line(&format!("warning: {warning}"));
     }
     let vehicle = odometry_frame::vehicle(&prepared.program);
-    let of_odometry = odometry_frame::notes(&prepared.logs, vehicle).await?;
-    let of_fixes = fixes::notes(&prepared.logs, &prepared.program).await?;
+    let of_odometry = odometry_frame::notes(&logs, vehicle).await?;
+    let of_fixes = fixes::notes(&logs, &prepared.program).await?;
     let program = &prepared.program;
-    let of_clocks = clocks::notes(&prepared.logs, |role| program.reads_source(role)).await;
+    let of_clocks = clocks::notes(&logs, |role| program.reads_source(role)).await;
     for note in [of_odometry, of_clocks, of_fixes].iter().flatten() {
         line(&format!("note: {note}"));
     }
+    drop(logs);
     prepared.unplayed.notes().iter().for_each(|note| line(note));
     let jobs = jobs(&args.limits);
     let runner = runner(args, &registry, jobs, unfinished).await?;
@@ -78,7 +78,7 @@ pub async fn run(args: &RunArgs, unfinished: &Unfinished) -> Ending {
         line(&format!(
             "another run published version {by} while this one was at work: it goes on from there"
         ));
-        let anew = sessions::prepare_run(args, &registry).await?;
+        let (anew, _) = sessions::prepare_run(args, &registry).await?;
         anew.agrees_with(&prepared)?;
         prepared = anew;
     };
@@ -203,7 +203,7 @@ async fn runner(
 }
 
 fn summary(result: &RunResult, elapsed: Duration) -> String {
-    let computed = result.units.iter().filter(|(_, _, cached)| !cached).count();
+    let computed = result.units.iter().filter(|(_, done)| !done.cached).count();
     let reused = result.units.len() - computed;
     let end = if result.published {
         "published"

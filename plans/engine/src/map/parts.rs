@@ -5,11 +5,16 @@
 //! or changes then changes its own part, wherever it stands. A part is a file named by its content, and checked against its
 //! name when it is read. Short lists stay where they are.
 
+use std::collections::BTreeMap;
+
+use bytes::Bytes;
 use evermap_schemas::{Fault, Kind};
+use serde::Serialize;
+use serde::de::DeserializeOwned;
 use serde_json::{Value, json};
 
 use crate::digest::digest;
-use crate::map::store::{Store, each};
+use crate::map::store::{Store, each, other_json};
 
 /// The folder of a map that has parts.
 pub const PARTS: &str = "parts";
@@ -42,32 +47,34 @@ fn places(version: &Value) -> Vec<String> {
     layers.chain(previous).chain(sessions).collect()
 }
 
-/// Cuts the long lists of a version and writes the parts that are not there yet.
+/// A list of a version as it is written: a long one is cut, and the parts that are not there yet are written. No long list is
+/// ever JSON as a whole, which takes ten times the memory of its text.
 ///
 /// # Errors
 /// A resource fault when the store does not take them.
-pub async fn split(store: &Store, version: &mut Value) -> Result<(), Fault> {
-    for place in places(version) {
-        let list = version.pointer_mut(&place);
-        let Some(list) =
-            list.filter(|list| list.as_array().is_some_and(|list| list.len() > LONGEST))
-        else {
-            continue;
-        };
-        let parts = cut(list.as_array().map_or(&[], Vec::as_slice))?;
-        let written = parts.iter().map(|(digest, text)| keep(store, digest, text));
-        each(written).await?;
-        let digests: Vec<String> = parts.into_iter().map(|(digest, _)| digest).collect();
-        *list = json!({ MEMBER: digests });
+pub async fn kept<T: Serialize>(store: &Store, list: &[T]) -> Result<Value, Fault> {
+    if list.len() <= LONGEST {
+        return serde_json::to_value(list).map_err(unwritten);
     }
-    Ok(())
+    let parts = cut(list)?;
+    let written = parts.iter().map(|(digest, text)| keep(store, digest, text));
+    each(written).await?;
+    let digests: Vec<String> = parts.into_iter().map(|(digest, _)| digest).collect();
+    Ok(json!({ MEMBER: digests }))
 }
 
-/// Puts the parts of a version's lists where they belong.
+fn unwritten(error: serde_json::Error) -> Fault {
+    Fault::bug(error.to_string())
+}
+
+/// The texts of lists that are kept in parts, by where the lists are.
+pub struct Lists(BTreeMap<String, Vec<Bytes>>);
+
+/// Takes the lists that are kept in parts out of a version, and reads the parts.
 ///
 /// # Errors
 /// A data fault for a part that is missing or damaged.
-pub async fn join(store: &Store, version: &mut Value) -> Result<(), Fault> {
+pub async fn taken(store: &Store, version: &mut Value) -> Result<Lists, Fault> {
     let lists = places(version).into_iter().filter_map(|place| {
         let digests = digests(version.pointer(&place)?)?.into_iter();
         Some((place, digests.map(str::to_owned).collect()))
@@ -77,13 +84,32 @@ pub async fn join(store: &Store, version: &mut Value) -> Result<(), Fault> {
     let wanted: Vec<&String> = lists.iter().flat_map(|(_, digests)| digests).collect();
     let parts = each(wanted.iter().map(|digest| part(store, digest))).await?;
     let mut parts = parts.into_iter();
-    for (place, digests) in &lists {
-        let list = parts.by_ref().take(digests.len()).flatten().collect();
-        if let Some(found) = version.pointer_mut(place) {
-            *found = Value::Array(list);
+    let mut taken = BTreeMap::new();
+    for (place, digests) in lists {
+        if let Some(list) = version.pointer_mut(&place) {
+            *list = Value::Array(Vec::new());
         }
+        taken.insert(place, parts.by_ref().take(digests.len()).collect());
     }
-    Ok(())
+    Ok(Lists(taken))
+}
+
+impl Lists {
+    /// Puts the elements of the list at a place where they belong, if it was taken.
+    ///
+    /// # Errors
+    /// A data fault for elements of another shape.
+    pub fn fill<T: DeserializeOwned>(
+        &mut self,
+        place: &str,
+        list: &mut Vec<T>,
+    ) -> Result<(), Fault> {
+        for text in self.0.remove(place).into_iter().flatten() {
+            let elements = serde_json::from_slice::<Vec<T>>(&text);
+            list.extend(elements.map_err(|error| other_json(&error).at(place))?);
+        }
+        Ok(())
+    }
 }
 
 /// The names of the parts of a version as it is written.
@@ -100,16 +126,15 @@ fn digests(list: &Value) -> Option<Vec<&str>> {
 }
 
 /// The parts of a list: digest and text of each.
-fn cut(list: &[Value]) -> Result<Vec<(String, Vec<u8>)>, Fault> {
-    let failed = |error: serde_json::Error| Fault::bug(error.to_string());
+fn cut<T: Serialize>(list: &[T]) -> Result<Vec<(String, Vec<u8>)>, Fault> {
     let (mut parts, mut start) = (Vec::new(), 0);
     for (index, element) in list.iter().enumerate() {
-        let text = serde_json::to_vec(element).map_err(failed)?;
+        let text = serde_json::to_vec(element).map_err(unwritten)?;
         let hash = blake3::hash(&text);
         let [a, b, c, d, ..] = *hash.as_bytes();
         let ends = u64::from(u32::from_le_bytes([a, b, c, d])) % MEAN == 0;
         if ends || index + 1 - start == LARGEST || index + 1 == list.len() {
-            let text = serde_json::to_vec(&list[start..=index]).map_err(failed)?;
+            let text = serde_json::to_vec(&list[start..=index]).map_err(unwritten)?;
             parts.push((digest(&text), text));
             start = index + 1;
         }
@@ -127,7 +152,7 @@ async fn keep(store: &Store, digest: &str, text: &[u8]) -> Result<(), Fault> {
     }
 }
 
-async fn part(store: &Store, wanted: &str) -> Result<Vec<Value>, Fault> {
+async fn part(store: &Store, wanted: &str) -> Result<Bytes, Fault> {
     let name = name(wanted);
     let text = store.read(&name).await?;
     let text = text.ok_or_else(|| Fault::data(format!("expected {name}, found no such file")))?;
@@ -135,8 +160,7 @@ async fn part(store: &Store, wanted: &str) -> Result<Vec<Value>, Fault> {
     if found != wanted {
         return Err(Fault::data(format!("expected the digest {wanted}, found {found}")).at(name));
     }
-    let read = serde_json::from_slice(&text);
-    read.map_err(|error| Fault::data(format!("expected a list, found {error}")).at(name))
+    Ok(text)
 }
 
 #[cfg(test)]
@@ -157,6 +181,25 @@ mod tests {
             "layers": { "keyframes#lift": { "artifacts": names, "recipes": ["r"] } },
             "previous": { "sessions": [], "layers": {} },
         })
+    }
+
+    /// As a version is published.
+    async fn split(store: &Store, version: &mut Value) -> Result<(), Fault> {
+        for place in places(version) {
+            let list = version.pointer_mut(&place).unwrap();
+            *list = kept(store, list.as_array().unwrap()).await?;
+        }
+        Ok(())
+    }
+
+    /// As a version is read.
+    async fn join(store: &Store, version: &mut Value) -> Result<(), Fault> {
+        let mut lists = taken(store, version).await?;
+        for place in places(version) {
+            let list = version.pointer_mut(&place).unwrap();
+            lists.fill(&place, list.as_array_mut().unwrap())?;
+        }
+        Ok(())
     }
 
     #[tokio::test]

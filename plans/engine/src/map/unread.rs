@@ -70,9 +70,9 @@ async fn put_right(store: &Store, name: &str, holds: u64) -> Result<String, Faul
 
 /// Whether a part of its lists is missing or damaged.
 async fn lacks_part(store: &Store, version: &mut Value) -> Result<bool, Fault> {
-    match parts::join(store, version).await {
+    match parts::taken(store, version).await {
         Err(fault) if fault.kind == Kind::Data => Ok(true),
-        joined => joined.map(|()| false),
+        taken => taken.map(|_| false),
     }
 }
 

@@ -68,8 +68,13 @@ pub struct MappedSession {
 impl MappedSession {
     /// The session of a name among some that are sorted by name.
     pub fn named<'s>(sorted: &'s [Self], name: &str) -> Option<&'s Self> {
+        Self::place(sorted, name).map(|place| &sorted[place])
+    }
+
+    /// Where it is among them.
+    pub fn place(sorted: &[Self], name: &str) -> Option<usize> {
         let place = sorted.binary_search_by(|session| session.log.session.as_str().cmp(name));
-        place.ok().map(|place| &sorted[place])
+        place.ok()
     }
 }
 
@@ -174,9 +179,10 @@ impl Version {
         };
         let at = |fault: Fault| fault.at(&name);
         let parts = parts::names(&found);
-        parts::join(store, &mut found).await.map_err(at)?;
+        let mut lists = parts::taken(store, &mut found).await.map_err(at)?;
         let read = serde_json::from_value(found);
-        let found: Self = read.map_err(|error| at(other_json(&error)))?;
+        let mut found: Self = read.map_err(|error| at(other_json(&error)))?;
+        found.fill(&mut lists).map_err(at)?;
         match found.version {
             other if other != version => Err(Fault::data(format!(
                 "{name}: expected version {version}, found version {other}"
@@ -293,11 +299,65 @@ impl Version {
     /// # Errors
     /// A resource fault when the store does not take it.
     pub async fn publish(&self, store: &Store) -> Result<bool, Fault> {
-        let written = serde_json::to_value(self);
+        let written = serde_json::to_value(self.without_lists());
         let mut written = written.map_err(|error| Fault::bug(error.to_string()))?;
-        parts::split(store, &mut written).await?;
+        for (name, layer) in &self.layers {
+            let kept = &mut written["layers"][name];
+            kept["artifacts"] = parts::kept(store, &layer.artifacts).await?;
+            kept["recipes"] = parts::kept(store, &layer.recipes).await?;
+        }
+        let previous = &mut written["previous"];
+        for (name, artifacts) in &self.previous.layers {
+            previous["layers"][name] = parts::kept(store, artifacts).await?;
+        }
+        previous["sessions"] = parts::kept(store, &self.previous.sessions).await?;
+        written["sessions"] = parts::kept(store, &self.sessions).await?;
         let written = sealed::bytes(&written)?;
         store.create(&Self::name(self.version), written).await
+    }
+
+    /// Puts lists that are kept in parts where they belong.
+    fn fill(&mut self, lists: &mut parts::Lists) -> Result<(), Fault> {
+        for (name, layer) in &mut self.layers {
+            let place = format!("/layers/{name}");
+            lists.fill(&format!("{place}/artifacts"), &mut layer.artifacts)?;
+            lists.fill(&format!("{place}/recipes"), &mut layer.recipes)?;
+        }
+        for (name, artifacts) in &mut self.previous.layers {
+            lists.fill(&format!("/previous/layers/{name}"), artifacts)?;
+        }
+        lists.fill("/previous/sessions", &mut self.previous.sessions)?;
+        lists.fill("/sessions", &mut self.sessions)
+    }
+
+    /// What is left of it without the lists that may be long.
+    fn without_lists(&self) -> Self {
+        let layers = self.layers.iter().map(|(name, layer)| {
+            let rest = StoredLayer {
+                published: layer.published,
+                op: layer.op.clone(),
+                ..StoredLayer::default()
+            };
+            (name.clone(), rest)
+        });
+        let names = self.previous.layers.keys();
+        Self {
+            version: self.version,
+            parent: self.parent,
+            program: self.program.clone(),
+            previous: Previous {
+                version: self.previous.version,
+                layers: names.map(|name| (name.clone(), Vec::new())).collect(),
+                replaced: self.previous.replaced.clone(),
+                sessions: Vec::new(),
+            },
+            plan: self.plan.clone(),
+            evermap: self.evermap.clone(),
+            published: self.published.clone(),
+            sessions: Vec::new(),
+            layers: layers.collect(),
+            losses: self.losses.clone(),
+        }
     }
 }
 

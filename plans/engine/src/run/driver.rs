@@ -1,6 +1,6 @@
 //! A run at work: ready units are begun, what they leave makes others ready.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Mutex;
 
 use evermap_schemas::Fault;
@@ -15,13 +15,17 @@ use crate::map::sound::Sound;
 use crate::map::store::{ARTIFACTS, each};
 use crate::map::version::{Previous, StoredLayer};
 use crate::program::Stage;
+use crate::run::done::{Done, KnownNodes};
 use crate::run::mend::{Makers, Mending};
-use crate::run::pending::{Pending, UnitId};
+use crate::run::pending::Pending;
 use crate::run::previous_units::PreviousUnits;
 use crate::run::runner::{Report, Runner};
 use crate::run::skip_reasons::SkipReasons;
 use crate::run::{Event, Run};
 use crate::unit::Unit;
+
+/// Units that are looked for at once, whether they were done before.
+const LOOKED_FOR: usize = 256;
 
 /// A run under way, unit by unit.
 pub struct Driver<'r, 'a> {
@@ -37,9 +41,11 @@ pub struct Driver<'r, 'a> {
     /// How many units each still waits for.
     waiting: Vec<usize>,
     /// The units that wait for each.
-    dependents: BTreeMap<UnitId, Vec<usize>>,
-    /// What was done, and whether it had been done before.
-    receipts: BTreeMap<UnitId, (Receipt, bool)>,
+    dependents: Vec<Vec<usize>>,
+    /// Those that are done.
+    done: Vec<Option<Done>>,
+    /// What the nodes of their plans are called.
+    nodes: KnownNodes,
     /// Receipts that were taken away, as their rows are damaged.
     damaged: Mutex<Makers>,
 }
@@ -51,10 +57,13 @@ impl<'r, 'a> Driver<'r, 'a> {
     /// As [`Run::units`] and [`Run::previous`].
     pub fn new(run: &'r Run<'a>, lease: &'r Lease, sound: Sound<'r>) -> Result<Self, Fault> {
         let units = run.units()?;
-        let mut dependents: BTreeMap<UnitId, Vec<usize>> = BTreeMap::new();
+        let mut dependents = vec![Vec::new(); units.len()];
+        let mut waiting = Vec::with_capacity(units.len());
         for (index, unit) in units.iter().enumerate() {
-            for earlier in &unit.before {
-                dependents.entry(earlier.clone()).or_default().push(index);
+            let before = unit.before();
+            waiting.push(before.len());
+            for earlier in before {
+                dependents[earlier].push(index);
             }
         }
         Ok(Self {
@@ -63,9 +72,10 @@ impl<'r, 'a> Driver<'r, 'a> {
             previous: run.previous()?,
             held: run.held(),
             sound,
-            waiting: units.iter().map(|unit| unit.before.len()).collect(),
+            waiting,
             dependents,
-            receipts: BTreeMap::new(),
+            done: units.iter().map(|_| None).collect(),
+            nodes: KnownNodes::new(),
             damaged: Mutex::default(),
             units,
         })
@@ -85,30 +95,24 @@ impl<'r, 'a> Driver<'r, 'a> {
         runner: &dyn Runner,
         observe: &mut (dyn FnMut(Event<'_>) + Send),
     ) -> Result<(), Fault> {
+        let (room, mut at_work) = (runner.room(), 0);
         let mut running = SelectAll::new();
-        let mut ready: Vec<usize> = (0..self.units.len())
-            .filter(|&index| self.waiting[index] == 0)
-            .collect();
+        let is_ready = |index: &usize| self.waiting[*index] == 0;
+        let mut ready: BTreeSet<usize> = (0..self.units.len()).filter(is_ready).collect();
         let mut first_fault: Option<Fault> = None;
         loop {
-            let mut fresh = Vec::new();
-            while !ready.is_empty() {
-                let units = std::mem::take(&mut ready);
-                for (index, unit, receipt) in self.done_before(&units).await? {
-                    match receipt {
-                        Some(receipt) => ready.extend(self.finish(index, receipt, true, observe)),
-                        None => fresh.push((index, unit)),
-                    }
-                }
-            }
-            fresh.sort_by_key(|(index, _)| *index);
-            self.mend_previous(&fresh, runner).await?;
-            if !fresh.is_empty() && first_fault.is_none() {
+            // Many at once, as a store of objects answers late.
+            if at_work <= room / 2 && first_fault.is_none() {
+                let fresh = self.fresh(&mut ready, room - at_work, observe).await?;
+                self.mend_previous(&fresh, runner).await?;
                 for (index, _) in &fresh {
                     let label = &self.label(*index);
                     observe(Event::Started { label });
                 }
-                running.push(runner.start(fresh));
+                if !fresh.is_empty() {
+                    at_work += fresh.len();
+                    running.push(runner.start(fresh));
+                }
             }
             match running.next().await {
                 None => break,
@@ -116,15 +120,41 @@ impl<'r, 'a> Driver<'r, 'a> {
                     let label = &self.label(index);
                     observe(Event::Advanced { label, share });
                 }
-                Some((index, Report::Ended(Ok(receipt)))) => {
-                    ready.extend(self.finish(index, *receipt, false, observe))
-                }
-                Some((index, Report::Ended(Err(fault)))) => {
-                    first_fault.get_or_insert_with(|| fault.at(self.label(index)));
+                Some((index, Report::Ended(ended))) => {
+                    at_work -= 1;
+                    match ended {
+                        Ok(receipt) => ready.extend(self.finish(index, *receipt, false, observe)),
+                        Err(fault) => {
+                            first_fault.get_or_insert_with(|| fault.at(self.label(index)));
+                        }
+                    }
                 }
             }
         }
         first_fault.map_or(Ok(()), Err)
+    }
+
+    /// The first of the units that are ready and were not done before, at most so many. Those that were are done now, which may
+    /// make others ready.
+    async fn fresh(
+        &mut self,
+        ready: &mut BTreeSet<usize>,
+        room: usize,
+        observe: &mut (dyn FnMut(Event<'_>) + Send),
+    ) -> Result<Vec<(usize, Unit)>, Fault> {
+        let mut fresh = Vec::new();
+        while fresh.len() < room && !ready.is_empty() {
+            let most = LOOKED_FOR.min(room - fresh.len());
+            let units: Vec<usize> = (0..most).map_while(|_| ready.pop_first()).collect();
+            for (index, unit, receipt) in self.done_before(&units).await? {
+                match receipt {
+                    Some(receipt) => ready.extend(self.finish(index, receipt, true, observe)),
+                    None => fresh.push((index, unit)),
+                }
+            }
+        }
+        fresh.sort_by_key(|(index, _)| *index);
+        Ok(fresh)
     }
 
     /// These units, each with its receipt where it was done before and its rows are what was written then.
@@ -136,7 +166,7 @@ impl<'r, 'a> Driver<'r, 'a> {
     }
 
     async fn found_before(&self, index: usize) -> Result<(usize, Unit, Option<Receipt>), Fault> {
-        let mut unit = self.unit(index).await?;
+        let unit = self.unit(index).await?;
         let digest = unit.recipe.digest()?;
         let known = (&self.sound, &self.held);
         let found = self.run.found(known, &self.units[index], &digest);
@@ -148,12 +178,7 @@ impl<'r, 'a> Driver<'r, 'a> {
                 locked(&self.damaged).insert(damage.file, receipt);
                 None
             }
-            // Of equal digest: one recipe is kept, and of its stages one for all units.
-            Some((receipt, None)) => Some(Receipt {
-                recipe: std::mem::replace(&mut unit.recipe, receipt.recipe),
-                ..receipt
-            }),
-            None => None,
+            found => found.map(|(receipt, _)| receipt),
         };
         Ok((index, unit, receipt))
     }
@@ -192,15 +217,12 @@ impl<'r, 'a> Driver<'r, 'a> {
             receipt: &receipt,
             cached,
         });
-        let id = &self.units[index].id;
-        self.receipts.insert(id.clone(), (receipt, cached));
-        let mut ready = Vec::new();
-        for &later in self.dependents.get(id).into_iter().flatten() {
+        self.done[index] = Some(Done::of(receipt, cached, &mut self.nodes));
+        let mut ready = std::mem::take(&mut self.dependents[index]);
+        ready.retain(|&later| {
             self.waiting[later] -= 1;
-            if self.waiting[later] == 0 {
-                ready.push(later);
-            }
-        }
+            self.waiting[later] == 0
+        });
         ready
     }
 
@@ -209,7 +231,7 @@ impl<'r, 'a> Driver<'r, 'a> {
     }
 
     async fn unit(&self, index: usize) -> Result<Unit, Fault> {
-        let artifact = |id: &UnitId| Ok(self.receipt(id)?.artifact.clone());
+        let artifact = |earlier| Ok(self.end(earlier)?.artifact.clone());
         let unit = &self.units[index];
         let before = self.held.once(unit).await?;
         let unit = unit.assemble(self.run, &self.previous, before.as_ref(), artifact)?;
@@ -219,10 +241,9 @@ impl<'r, 'a> Driver<'r, 'a> {
         })
     }
 
-    fn receipt(&self, id: &UnitId) -> Result<&Receipt, Fault> {
-        let missing = || Fault::bug(format!("{} was not run", id.label()));
-        let (receipt, _) = self.receipts.get(id).ok_or_else(missing)?;
-        Ok(receipt)
+    fn end(&self, index: usize) -> Result<&Done, Fault> {
+        let missing = || Fault::bug(format!("{} was not run", self.label(index)));
+        self.done[index].as_ref().ok_or_else(missing)
     }
 
     /// What of the units that are done is no longer there, as far as sizes tell. Receipts that have vanished are written
@@ -231,30 +252,48 @@ impl<'r, 'a> Driver<'r, 'a> {
     /// # Errors
     /// A resource fault when the store does not answer.
     pub async fn gone(&self) -> Result<Vec<Damage>, Fault> {
-        let store = self.run.store;
-        let listed = async |folder| -> Result<BTreeMap<String, u64>, Fault> {
-            Ok(store.list(folder).await?.into_iter().collect())
-        };
-        let (there, sizes) = (listed(RECEIPTS).await?, listed(ARTIFACTS).await?);
-        let receipts = self.receipts.values().map(|(receipt, _)| receipt);
-        let vanished = |receipt: &&Receipt| !there.contains_key(&Receipt::name(&receipt.digest));
-        let vanished = receipts.clone().filter(vanished);
-        each(vanished.map(|receipt| receipt.write(store))).await?;
-        let artifacts = receipts.map(|receipt| &receipt.artifact);
-        let gone = artifacts.filter_map(|artifact| {
-            let size = sizes.get(&artifact.name()).copied();
-            artifact.size_differs(size)
+        let there = self.listed(RECEIPTS).await?;
+        let vanished = |done: &Done| !there.contains_key(&Receipt::name(&done.digest));
+        let vanished = self.ends().filter(|(_, done)| vanished(done));
+        let again = each(vanished.map(|(index, done)| self.write_again(index, done))).await?;
+        let sizes = self.listed(ARTIFACTS).await?;
+        let gone = self.ends().filter_map(|(_, done)| {
+            let size = sizes.get(&done.artifact.name()).copied();
+            done.artifact.size_differs(size)
         });
-        Ok(gone.collect())
+        Ok(again.into_iter().flatten().chain(gone).collect())
     }
 
-    /// Every unit that is done: its stage, its receipt, whether it had been done before.
-    pub fn done(mut self) -> Vec<(String, Receipt, bool)> {
-        let done = |unit: Pending| {
-            let (receipt, cached) = self.receipts.remove(&unit.id)?;
-            Some((unit.id.stage, receipt, cached))
-        };
-        self.units.into_iter().filter_map(done).collect()
+    /// The names in a folder of the map, with their sizes.
+    async fn listed(&self, folder: &str) -> Result<BTreeMap<String, u64>, Fault> {
+        Ok(self.run.store.list(folder).await?.into_iter().collect())
+    }
+
+    /// Writes a receipt again, whose recipe follows from what the unit read. Where that is not what it was, it is gone.
+    async fn write_again(&self, index: usize, done: &Done) -> Result<Option<Damage>, Fault> {
+        let recipe = self.unit(index).await?.recipe;
+        if recipe.digest()? == done.digest {
+            done.receipt(recipe).write(self.run.store).await?;
+            return Ok(None);
+        }
+        Ok(Some(Damage {
+            file: Receipt::name(&done.digest),
+            expected: format!("the receipt of {}", self.label(index)),
+            found: None,
+        }))
+    }
+
+    /// The units that are done.
+    fn ends(&self) -> impl Iterator<Item = (usize, &Done)> {
+        let ends = self.done.iter().enumerate();
+        ends.filter_map(|(index, done)| Some((index, done.as_ref()?)))
+    }
+
+    /// Every unit that is done, with its stage.
+    pub fn done(self) -> Vec<(String, Done)> {
+        let units = self.units.into_iter().zip(self.done);
+        let done = units.filter_map(|(unit, done)| Some((unit.id.stage, done?)));
+        done.collect()
     }
 
     /// The layers of the version that comes of it.
@@ -263,15 +302,15 @@ impl<'r, 'a> Driver<'r, 'a> {
     /// A bug fault for a unit that was not run.
     pub fn layers(&self) -> Result<BTreeMap<String, StoredLayer>, Fault> {
         let mut layers: BTreeMap<String, StoredLayer> = BTreeMap::new();
-        for unit in &self.units {
-            let (stage, receipt) = (&unit.id.stage, self.receipt(&unit.id)?);
+        for (index, unit) in self.units.iter().enumerate() {
+            let (stage, done) = (&unit.id.stage, self.end(index)?);
             let layer = layers.entry(stage.clone()).or_insert_with(|| StoredLayer {
                 published: self.run.program.write.contains(stage),
                 op: unit.stages.last().and_then(Stage::op).map(str::to_owned),
                 ..StoredLayer::default()
             });
-            layer.artifacts.push(receipt.artifact.clone());
-            layer.recipes.push(receipt.digest.clone());
+            layer.artifacts.push(done.artifact.clone());
+            layer.recipes.push(done.digest.clone());
         }
         Ok(layers)
     }
@@ -280,17 +319,13 @@ impl<'r, 'a> Driver<'r, 'a> {
     /// read it.
     pub fn losses(&self) -> BTreeMap<String, u64> {
         let mut told = SkipReasons::default();
-        for unit in &self.units {
-            if let Some((receipt, _)) = self.receipts.get(&unit.id) {
-                told.add(&unit.id, &receipt.skipped);
-            }
+        for (index, done) in self.ends() {
+            told.add(&self.units[index].id, &done.skipped);
         }
         let mut losses = told.lines();
-        for (receipt, _) in self.receipts.values() {
-            for (reason, count) in &receipt.log_losses {
-                let held = losses.entry(reason.clone()).or_default();
-                *held = (*held).max(*count);
-            }
+        for (reason, count) in self.ends().flat_map(|(_, done)| &done.log_losses) {
+            let held = losses.entry(reason.clone()).or_default();
+            *held = (*held).max(*count);
         }
         losses
     }

@@ -46,7 +46,7 @@ impl Run<'_> {
     /// # Errors
     /// As [`Previous::of`].
     pub fn previous(&self) -> Result<Previous, Fault> {
-        Previous::of(self.program, &self.sessions, self.base.as_ref())
+        Previous::of(self.program, self.sessions, self.base)
     }
 
     /// Runs the units, and those anew whose rows have vanished since, until all are there at once.
@@ -89,11 +89,11 @@ impl Run<'_> {
             plan: self.program.plan.clone(),
             evermap: env!("CARGO_PKG_VERSION").to_owned(),
             published: chrono::Utc::now().to_rfc3339(),
-            sessions: self.sessions.clone(),
+            sessions: self.sessions.to_vec(),
             layers: driver.layers()?,
             losses: driver.losses(),
         };
-        let (version, published) = match &self.base {
+        let (version, published) = match self.base {
             Some(base) if base.same_content(&version) => (base.clone(), false),
             _ if version.publish(self.store).await? => (version, true),
             _ => {
@@ -111,7 +111,7 @@ impl Run<'_> {
 
     /// The version that this run began with; 0 for none.
     fn parent(&self) -> u64 {
-        self.base.as_ref().map_or(0, |base| base.version)
+        self.base.map_or(0, |base| base.version)
     }
 
     /// A version that another run has published since this one began.

@@ -1,6 +1,6 @@
 //! What a run would do, and why, before it is run.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeSet;
 
 use evermap_schemas::{Fault, record};
 use serde_json::Value;
@@ -12,7 +12,7 @@ use crate::map::store::each;
 use crate::map::version::Previous;
 use crate::program::{Stage, Task};
 use crate::run::Run;
-use crate::run::pending::{Pending, UnitId};
+use crate::run::pending::Pending;
 use crate::run::previous_units::PreviousUnits;
 
 record! {
@@ -38,6 +38,7 @@ impl Run<'_> {
     /// As [`Run::execute`], as far as it is not about running.
     pub async fn explain(&self) -> Result<Vec<UnitForecast>, Fault> {
         let receipts = self.store.list(RECEIPTS).await?.into_iter();
+        let units = self.units()?;
         let mut known = Forecaster {
             run: self,
             previous: self.previous()?,
@@ -47,10 +48,10 @@ impl Run<'_> {
                 .filter(|(_, bytes)| *bytes > 0)
                 .map(|(name, _)| name)
                 .collect(),
-            artifacts: BTreeMap::new(),
+            units: &units,
+            artifacts: Vec::new(),
         };
         let mut forecasts = Vec::new();
-        let units = self.units()?;
         // Those of a stage do not wait for each other.
         for units in units.chunk_by(|one, next| one.id.stage == next.id.stage) {
             let fates = each(units.iter().map(|unit| known.fate(unit))).await?;
@@ -61,9 +62,7 @@ impl Run<'_> {
                     recompute: fate.kept.is_none(),
                     why: fate.why,
                 });
-                if let Some(artifact) = fate.kept {
-                    known.artifacts.insert(unit.id.clone(), artifact);
-                }
+                known.artifacts.push(fate.kept);
             }
         }
         Ok(forecasts)
@@ -91,24 +90,27 @@ struct Forecaster<'r, 'a> {
     held: PreviousUnits<'r>,
     /// The names of the receipts that are there: those of tens of thousands of units are listed faster than read.
     receipts: BTreeSet<String>,
-    artifacts: BTreeMap<UnitId, Artifact>,
+    units: &'r [Pending],
+    /// Of the units so far those that need not be computed.
+    artifacts: Vec<Option<Artifact>>,
 }
 
 impl Forecaster<'_, '_> {
     async fn fate(&self, unit: &Pending) -> Result<Fate, Fault> {
-        let mut inputs = unit.before.iter();
-        if let Some(open) = inputs.find(|input| !self.artifacts.contains_key(input)) {
+        let mut inputs = unit.before().into_iter();
+        if let Some(open) = inputs.find(|input| self.artifacts[*input].is_none()) {
             let change = match self.held.receipt(&unit.id).await? {
                 None => Some(new_reason(&unit.id.extent, &self.held)),
                 Some(before) => stage_change(&before.recipe, &unit.stages),
             };
-            let follows = || format!("{} is recomputed", open.label());
+            let follows = || format!("{} is recomputed", self.units[open].id.label());
             return Ok(Fate::recomputed(change.unwrap_or_else(follows)));
         }
         let once = self.held.once(unit).await?;
         let assembled = unit.assemble(self.run, &self.previous, once.as_ref(), |input| {
-            let found = self.artifacts.get(input).cloned();
-            found.ok_or_else(|| Fault::bug(format!("{} is not known", input.label())))
+            let label = || self.units[input].id.label();
+            let found = self.artifacts[input].clone();
+            found.ok_or_else(|| Fault::bug(format!("{} is not known", label())))
         });
         let recipe = assembled?.recipe;
         let digest = recipe.digest()?;

@@ -4,6 +4,7 @@
 //! receipt under the recipe's digest means that the work was done before, by this run, an earlier one, or one that
 //! was killed. An unchanged result has an unchanged digest and stops everything downstream.
 
+pub mod done;
 mod driver;
 mod execute;
 pub mod explain;
@@ -22,6 +23,7 @@ use crate::map::receipt::Receipt;
 use crate::map::store::Store;
 use crate::map::version::{MappedSession, Version};
 use crate::program::Program;
+use crate::run::done::Done;
 use crate::sql::Limits;
 
 /// What happens during a run.
@@ -64,9 +66,9 @@ pub struct Run<'a> {
     /// The map.
     pub store: &'a Store,
     /// All sessions of the coming version, sorted by name.
-    pub sessions: Vec<MappedSession>,
+    pub sessions: &'a [MappedSession],
     /// The version before.
-    pub base: Option<Version>,
+    pub base: Option<&'a Version>,
     /// What one unit may use.
     pub limits: Limits,
 }
@@ -91,8 +93,8 @@ pub struct RunResult {
     pub version: Version,
     /// Whether this run published it; false where nothing had changed.
     pub published: bool,
-    /// Every unit: its stage, its receipt, whether it had been done before.
-    pub units: Vec<(String, Receipt, bool)>,
+    /// Every unit, with its stage.
+    pub units: Vec<(String, Done)>,
 }
 
 #[cfg(test)]

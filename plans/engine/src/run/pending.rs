@@ -1,6 +1,7 @@
 //! The units of a run: what each waits for, and how it is put together when that is done.
 
 use std::collections::{BTreeMap, BTreeSet};
+use std::ops::Range;
 use std::sync::Arc;
 
 use evermap_language::Input;
@@ -40,18 +41,17 @@ impl UnitId {
     }
 }
 
-/// A unit that cannot begin before others are done, as its recipe names the contents of what they make.
+/// A unit that cannot begin before others are done, as its recipe names the contents of what they make. There may be
+/// hundreds of thousands, and a unit of a site reads those of all its sessions: others are known by their numbers.
 pub struct Pending {
     /// Which unit it is.
     pub id: UnitId,
     /// The stage and those that run inside it, in order.
     pub stages: Arc<[Stage]>,
-    /// The units whose rows it reads.
-    pub before: BTreeSet<UnitId>,
-    /// The same, by the table that they are read as.
-    tables: BTreeMap<Input, BTreeSet<UnitId>>,
-    /// The sessions whose logs it reads.
-    logs: BTreeSet<String>,
+    /// The units whose rows it reads, ascending, by the table that they are read as.
+    tables: Box<[(Input, Box<[usize]>)]>,
+    /// The sessions of the run whose logs it reads, ascending.
+    logs: Box<[usize]>,
 }
 
 impl Run<'_> {
@@ -60,46 +60,112 @@ impl Run<'_> {
     /// # Errors
     /// A bug fault for a program that names a stage that there is not.
     pub fn units(&self) -> Result<Vec<Pending>, Fault> {
-        let previous = self.previous()?;
-        let sessions = Sessions::of(&self.sessions);
-        let stored = self.program.stages.iter().filter(|stage| stage.stored);
-        let units = stored.flat_map(|stage| {
-            let stages: Arc<[Stage]> = self.program.fragment(&stage.name).into();
-            let ids = UnitId::all(stage, &self.sessions).into_iter();
-            ids.map(move |id| (id, Arc::clone(&stages)))
-        });
-        units
-            .map(|(id, stages)| Pending::new(self, &sessions, &previous, id, stages))
-            .collect()
-    }
-}
-
-/// The sessions of a run, by what units cover: none looks at all of them for its own.
-struct Sessions<'r> {
-    sorted: &'r [MappedSession],
-    of_site: BTreeMap<&'r str, Vec<&'r MappedSession>>,
-}
-
-impl<'r> Sessions<'r> {
-    fn of(sorted: &'r [MappedSession]) -> Self {
-        let mut of_site: BTreeMap<&str, Vec<_>> = BTreeMap::new();
-        for session in sorted {
-            let site = of_site.entry(&session.log.site);
-            site.or_default().push(session);
+        let mut planning = Planning {
+            run: self,
+            previous: self.previous()?,
+            of_site: of_sites(self.sessions),
+            units: Vec::new(),
+            of_stage: BTreeMap::new(),
+        };
+        for stage in self.program.stages.iter().filter(|stage| stage.stored) {
+            planning.add(stage)?;
         }
-        Self { sorted, of_site }
+        Ok(planning.units)
+    }
+}
+
+/// Units of a run so far. None looks at all sessions, or units, for its own.
+struct Planning<'r, 'a> {
+    run: &'r Run<'a>,
+    previous: Previous,
+    /// The sessions of a site, by number.
+    of_site: BTreeMap<&'r str, Vec<usize>>,
+    units: Vec<Pending>,
+    /// Where the units of a stage are, sorted.
+    of_stage: BTreeMap<&'r str, Range<usize>>,
+}
+
+fn of_sites(sessions: &[MappedSession]) -> BTreeMap<&str, Vec<usize>> {
+    let mut of_site: BTreeMap<&str, Vec<usize>> = BTreeMap::new();
+    for (number, session) in sessions.iter().enumerate() {
+        of_site.entry(&session.log.site).or_default().push(number);
+    }
+    of_site
+}
+
+impl<'r> Planning<'r, '_> {
+    /// Adds the units of a stage.
+    fn add(&mut self, stage: &'r Stage) -> Result<(), Fault> {
+        let stages: Arc<[Stage]> = self.run.program.fragment(&stage.name).into();
+        let start = self.units.len();
+        for id in UnitId::all(stage, self.run.sessions) {
+            let unit = self.unit(id, Arc::clone(&stages))?;
+            self.units.push(unit);
+        }
+        self.of_stage.insert(&stage.name, start..self.units.len());
+        Ok(())
     }
 
-    /// Those that an extent covers, sorted by name.
-    fn within(&self, extent: &Extent) -> Vec<&'r MappedSession> {
+    fn unit(&self, id: UnitId, stages: Arc<[Stage]>) -> Result<Pending, Fault> {
+        let mut tables: BTreeMap<&Input, BTreeSet<usize>> = BTreeMap::new();
+        let mut logs = BTreeSet::new();
+        for read in stages.iter().flat_map(|stage| &stage.reads) {
+            let mut sessions = self.within(&id.extent.reached(read.reach));
+            if matches!(read.table, Input::Source(_)) || read.pixels.is_some() {
+                logs.extend(&sessions);
+            }
+            let name = match &read.table {
+                Input::Step(name) => name,
+                Input::New(name) => {
+                    sessions.retain(|number| self.previous.is_new(self.name(*number)));
+                    name
+                }
+                Input::Source(_) | Input::Previous(_) => continue,
+            };
+            let made = self.run.program.stage(name)?;
+            if made.stored {
+                let units = self.numbers(made, &sessions)?;
+                tables.entry(&read.table).or_default().extend(units);
+            }
+        }
+        let tables = tables.into_iter();
+        let tables = tables.map(|(table, units)| (table.clone(), units.into_iter().collect()));
+        Ok(Pending {
+            tables: tables.collect(),
+            logs: logs.into_iter().collect(),
+            id,
+            stages,
+        })
+    }
+
+    /// The sessions that an extent covers, ascending.
+    fn within(&self, extent: &Extent) -> Vec<usize> {
+        let sessions = self.run.sessions;
         match (&extent.session, &extent.site) {
-            (Some(name), _) => MappedSession::named(self.sorted, name)
-                .filter(|session| extent.covers(&session.log))
+            (Some(name), _) => MappedSession::place(sessions, name)
+                .filter(|number| extent.covers(&sessions[*number].log))
                 .into_iter()
                 .collect(),
             (None, Some(site)) => self.of_site.get(site.as_str()).cloned().unwrap_or_default(),
-            (None, None) => self.sorted.iter().collect(),
+            (None, None) => (0..sessions.len()).collect(),
         }
+    }
+
+    /// The units of a stage on these sessions.
+    fn numbers(&self, stage: &Stage, sessions: &[usize]) -> Result<Vec<usize>, Fault> {
+        let later = || Fault::bug(format!("{} comes after what reads it", stage.name));
+        let range = self.of_stage.get(stage.name.as_str()).ok_or_else(later)?;
+        let (start, units) = (range.start, &self.units[range.clone()]);
+        let number = |session: &usize| {
+            let extent = Extent::of(stage.scope, &self.run.sessions[*session].log);
+            let place = units.binary_search_by(|unit| unit.id.extent.cmp(&extent));
+            place.map(|place| start + place).map_err(|_| later())
+        };
+        sessions.iter().map(number).collect()
+    }
+
+    fn name(&self, session: usize) -> &str {
+        &self.run.sessions[session].log.session
     }
 }
 
@@ -109,44 +175,10 @@ impl Pending {
         self.stages.last().is_some_and(|stage| stage.once)
     }
 
-    fn new(
-        run: &Run<'_>,
-        sessions: &Sessions<'_>,
-        previous: &Previous,
-        id: UnitId,
-        stages: Arc<[Stage]>,
-    ) -> Result<Self, Fault> {
-        let mut tables: BTreeMap<Input, BTreeSet<UnitId>> = BTreeMap::new();
-        let mut logs = BTreeSet::new();
-        for read in stages.iter().flat_map(|stage| &stage.reads) {
-            let reached = id.extent.reached(read.reach);
-            let sessions = sessions.within(&reached).into_iter();
-            if matches!(read.table, Input::Source(_)) || read.pixels.is_some() {
-                logs.extend(sessions.clone().map(|session| session.log.session.clone()));
-            }
-            let ids = match &read.table {
-                Input::Step(name) => {
-                    let made = run.program.stage(name)?;
-                    if !made.stored {
-                        continue;
-                    }
-                    UnitId::all(made, sessions)
-                }
-                Input::New(name) => {
-                    let new = sessions.filter(|session| previous.is_new(&session.log.session));
-                    UnitId::all(run.program.stage(name)?, new)
-                }
-                Input::Source(_) | Input::Previous(_) => continue,
-            };
-            tables.entry(read.table.clone()).or_default().extend(ids);
-        }
-        Ok(Self {
-            id,
-            stages,
-            before: tables.values().flatten().cloned().collect(),
-            tables,
-            logs,
-        })
+    /// The units whose rows it reads.
+    pub fn before(&self) -> BTreeSet<usize> {
+        let units = self.tables.iter().flat_map(|(_, units)| units);
+        units.copied().collect()
     }
 
     /// The unit, which reads what `artifact` says that the units before it left. `before` is the receipt of the unit of
@@ -159,14 +191,17 @@ impl Pending {
         run: &Run<'_>,
         previous: &Previous,
         before: Option<&Receipt>,
-        artifact: impl Fn(&UnitId) -> Result<Artifact, Fault>,
+        artifact: impl Fn(usize) -> Result<Artifact, Fault>,
     ) -> Result<Unit, Fault> {
         let extent = self.id.extent.clone();
         let site = extent.site.as_ref();
         let layers = previous.concerning(run.program, &self.stages, site);
         let mut recipe = Recipe::new(Arc::clone(&self.stages), extent);
-        for (table, ids) in &self.tables {
-            let artifacts = ids.iter().map(&artifact).collect::<Result<_, _>>()?;
+        for (table, units) in &self.tables {
+            let artifacts = units
+                .iter()
+                .map(|unit| artifact(*unit))
+                .collect::<Result<_, _>>()?;
             if let Input::New(name) = table {
                 let op = run.program.stage(name)?.op().map(str::to_owned);
                 let artifacts = Artifact::with_rows(artifacts);
@@ -180,8 +215,7 @@ impl Pending {
             recipe.replaced.clone_from(&previous.replaced);
         }
         recipe.previous = layers;
-        let logs = self.logs.iter();
-        let logs = logs.filter_map(|name| MappedSession::named(&run.sessions, name));
+        let logs = self.logs.iter().map(|session| &run.sessions[*session]);
         recipe.logs = logs.clone().map(|session| session.log.clone()).collect();
         if self.is_done_once()
             && let Some(before) = before
@@ -269,11 +303,11 @@ mod tests {
             program: &program,
             registry: &registry,
             store: &Store::open(folder.path().to_str().unwrap(), true).unwrap(),
-            sessions: vec![session("a", "s"), session("b", "s"), session("c", "t")],
+            sessions: &[session("a", "s"), session("b", "s"), session("c", "t")],
             base: None,
             limits: Limits::one_partition(),
         };
-        let no_rows = |id: &UnitId| Err(Fault::bug(id.label()));
+        let no_rows = |unit| Err(Fault::bug(format!("unit {unit}")));
         let read: Vec<(String, Vec<String>)> = run
             .units()
             .unwrap()

@@ -30,6 +30,9 @@ pub type Unfinished = tokio::sync::mpsc::Sender<Infallible>;
 
 /// Runs units that are ready, in any order.
 pub trait Runner: Send + Sync {
+    /// So many units are at work, or wait for their turn, at most; the others of a run are but numbers meanwhile.
+    fn room(&self) -> usize;
+
     /// Runs these units; the stream ends when each has ended.
     fn start(&self, units: Vec<(usize, Unit)>) -> BoxStream<'static, UnitReport>;
 }
@@ -37,6 +40,7 @@ pub trait Runner: Send + Sync {
 /// Runs units in this process, a few at a time.
 pub struct LocalRunner {
     registry: Registry,
+    room: usize,
     computing: Arc<Semaphore>,
     keeping: Arc<Semaphore>,
 }
@@ -47,15 +51,21 @@ const KEEPING: usize = 32;
 impl LocalRunner {
     /// Runs `width` units side by side.
     pub fn new(registry: Registry, width: usize) -> Self {
+        let width = width.max(1);
         Self {
             registry,
-            computing: Arc::new(Semaphore::new(width.max(1))),
+            room: 4 * (width + KEEPING),
+            computing: Arc::new(Semaphore::new(width)),
             keeping: Arc::new(Semaphore::new(KEEPING)),
         }
     }
 }
 
 impl Runner for LocalRunner {
+    fn room(&self) -> usize {
+        self.room
+    }
+
     fn start(&self, units: Vec<(usize, Unit)>) -> BoxStream<'static, UnitReport> {
         let (tell, told) = mpsc::unbounded();
         let run = |(index, unit): (usize, Unit)| {
