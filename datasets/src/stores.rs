@@ -112,7 +112,7 @@ const WHAT_TO_GIVE: &str = "give a file, a folder, a glob in quotes, or a URL";
 
 fn is_mcap(path: &FilePath) -> bool {
     path.extension()
-        .is_some_and(|extension| extension == "mcap")
+        .is_some_and(|extension| extension.eq_ignore_ascii_case("mcap"))
 }
 
 /// What stands at a path in the place of a file: a folder, what has no end or waits for ever for one (a pipe, a socket, a device), or
@@ -314,6 +314,13 @@ mod tests {
             assert_eq!(read_bytes(&path).unwrap(), read.as_bytes());
             assert_eq!(without_mark(written), read);
         }
+    }
+
+    #[test]
+    fn endings_in_capitals_are_endings() {
+        let is_log = |name: &str| is_mcap(FilePath::new(name));
+        assert!(is_log("/a/drive.mcap") && is_log("/a/drive2.MCAP"));
+        assert!(!is_log("/a/mcap") && !is_log("/a/drive.mcap.part"));
     }
 
     #[test]

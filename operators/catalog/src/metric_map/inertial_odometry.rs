@@ -13,7 +13,7 @@ pub struct InertialOdometry;
 
 impl Operator for InertialOdometry {
     const NAME: &'static str = "inertial_odometry";
-    const VERSION: u32 = 1;
+    const VERSION: u32 = 2;
     const PAGE: &'static str = include_str!("inertial_odometry.md");
     type Params = VehicleFrame;
     type Output = OdometryPose;

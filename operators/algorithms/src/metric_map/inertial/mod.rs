@@ -47,7 +47,7 @@ pub enum InertialError {
     NoGravity,
     /// On the vehicle as it is said to be mounted, up is not above.
     NotUpright,
-    /// It turns otherwise than the odometry does.
+    /// It turns otherwise than the odometry does, or adds to it what no gyroscope does at rest.
     TurnsOtherwise,
 }
 
@@ -68,6 +68,10 @@ const TURN_SHARE: f64 = 0.3;
 /// Gyroscopes are right at rest to this (rad/s): a thousandth of a radian in ten legs.
 const UNBIASED: f64 = 2e-4;
 const MOST_ROUNDS: usize = 8;
+
+/// No gyroscope says more than this at rest (rad/s): 20 °/s, the worst of data sheets of MEMS sensors (InvenSense MPU-6050).
+/// On a drive of one long turn, degrees for radians look like a bias.
+const MOST_BIAS: f64 = 0.35;
 
 /// Turns slower than this (rad/s, root mean square) tell nothing of a mount.
 const TURNS: f64 = 0.05;
@@ -109,6 +113,9 @@ pub fn upright(
         }
         bias += left;
     };
+    if bias.norm() > MOST_BIAS {
+        return Err(InertialError::TurnsOtherwise);
+    }
     let strength = gravities.iter().map(|(gravity, _)| gravity.norm());
     let strength = strength.sum::<f64>() / gravities.len() as f64;
     if (strength / GRAVITY_MPS2 - 1.0).abs() > GRAVITY_SHARE {

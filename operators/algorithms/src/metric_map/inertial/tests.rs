@@ -182,6 +182,26 @@ fn jumps_of_the_odometry_stay_what_they_are() {
     assert!(off < 0.6, "{off}°");
 }
 
+/// On one long turn nothing tells a scale from a bias but its size.
+#[test]
+fn degrees_for_radians_on_one_long_turn_are_no_bias() {
+    let truth = |t: f64| {
+        let angle = 0.2 * t;
+        let place = Vector3::new(10.0 * angle.sin(), 10.0 - 10.0 * angle.cos(), 0.0);
+        Pose::new(place, so3::exp(&Vector3::new(0.0, 0.0, angle)))
+    };
+    let odometry = wheels(&truth, 30.0);
+    let good = imu(&truth, &mount(), 30.0, NOISE, 0.01);
+    assert!(upright(&odometry, &good, &mount()).is_ok());
+    let degrees = |sample: &ImuSample| ImuSample {
+        angular_velocity: sample.angular_velocity.map(f64::to_degrees),
+        ..*sample
+    };
+    let degrees: Vec<ImuSample> = good.iter().map(degrees).collect();
+    let refused = upright(&odometry, &degrees, &mount()).unwrap_err();
+    assert_eq!(refused, InertialError::TurnsOtherwise);
+}
+
 #[test]
 fn an_imu_that_makes_no_sense_is_refused() {
     let truth = |t: f64| over_hills(1.0, t);
