@@ -6,8 +6,8 @@
 //! (section IV-A). The score is the number of areas that have any.
 //!
 //! What the paper leaves open: areas go the largest first; pairs are sorted by the sum of their differences, each in its
-//! limit; two boundaries are compatible while their lengths differ by no more than a factor, and none is compatible with
-//! none alone.
+//! limit; two boundaries are compatible while their lengths, as angles, differ by no more than a factor, and none is
+//! compatible with none alone.
 
 use std::f32::consts::PI;
 

@@ -2,6 +2,7 @@
 
 use std::cmp::Reverse;
 use std::f32::consts::{FRAC_PI_2, PI};
+use std::f64::consts::TAU;
 
 use proptest::prelude::*;
 
@@ -12,14 +13,17 @@ use crate::semantic_map::semantic_graph::{Area, Edge, Graph};
 /// Matched areas of the query and of the view.
 type InterpList = Vec<[usize; 2]>;
 
-/// The adjacency matrix: pixels of common boundary, 0 where areas do not touch.
-fn weights(graph: &Graph) -> Vec<Vec<u32>> {
+/// The adjacency matrix: angles (rad) that common boundaries take up, 0 where areas do not touch. A panorama has four times
+/// as much of the world in each pixel as an image that does not wrap, which sees a quarter.
+fn weights(graph: &Graph) -> Vec<Vec<f64>> {
     let number = graph.areas.len();
-    let mut weights = vec![vec![0; number]; number];
+    let mut weights = vec![vec![0.0; number]; number];
+    let range = if graph.wraps { TAU } else { TAU / 4.0 };
     for edge in &graph.edges {
         let (a, b) = (usize::from(edge.a), usize::from(edge.b));
-        weights[a][b] = edge.boundary_px;
-        weights[b][a] = edge.boundary_px;
+        let length = f64::from(edge.boundary_px) * range / f64::from(graph.width);
+        weights[a][b] = length;
+        weights[b][a] = length;
     }
     weights
 }
@@ -60,13 +64,13 @@ fn unary_constraint(a: &Area, b: &Area, limits: &ShapeLimits) -> Option<f32> {
 
 fn pairwise_constraint(
     list: &InterpList,
-    here: &[Vec<u32>],
-    there: &[Vec<u32>],
+    here: &[Vec<f64>],
+    there: &[Vec<f64>],
     most: f64,
 ) -> bool {
     list.iter().all(|[a, b]| {
         list.iter().all(|[c, d]| {
-            let (mine, theirs) = (f64::from(here[*a][*c]), f64::from(there[*b][*d]));
+            let (mine, theirs) = (here[*a][*c], there[*b][*d]);
             let one = a == c || b == d;
             let neither = mine == 0.0 && theirs == 0.0;
             let both = mine > 0.0 && theirs > 0.0;
