@@ -341,7 +341,7 @@ def missed(host):
         ([[300, 1, 310, 9]], "box 0: expected a box within the image, 256 x 83 px, found [300"), ([[-1, 1, 10, 9]], "expected a box within the image"),
         ([[9, 5, 9, 20]], "expected a box whose right is beyond its left"), ([[20, 5, 9, 20]], "expected a box whose right is beyond its left"),
         ([AHEAD, [9, 5, 12, 5]], "box 1: expected a box whose right is beyond its left"),
-        ([[120, 1, 128, 6]], "whom nobody on the ground near the vehicle would fill"),
+        ([[120, 1, 128, 6]], "that no one standing near the vehicle would fill"),
         ([], "expected 1 to 100 boxes, found 0"), ([AHEAD] * 101, "expected 1 to 100 boxes, found 101"),
     ]:
         status, said = draw(boxes)
