@@ -243,7 +243,8 @@ pub(crate) fn is_recalibrated(rows: &[Features], sides: &Sides) -> Result<bool, 
     let mounted = rig::sessions(sides)?;
     let changes = |(first, last): (&Features, &Features)| {
         let (rig, name) = (mounted.get(&first.session)?, frame(&first.camera));
-        let size = [first.width, first.height];
+        let shots: Vec<Shot<'_>> = rows.iter().map(Shot::of).collect();
+        let size = usual(&shots.iter().collect::<Vec<_>>()).0.size;
         let lens = |calibration: &Arc<Calibration>| {
             let frame_from_camera = rig::frame_from_camera(calibration).ok()?;
             Some((rig::camera(calibration, size).ok()?, frame_from_camera))

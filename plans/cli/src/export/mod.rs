@@ -178,12 +178,13 @@ async fn written(reader: &MapReader, layer: &str, args: &ExportArgs) -> Result<(
                 (out.to_owned(), png.as_slice()),
                 (out.with_extension("pgw"), world.as_bytes()),
             ];
-            match &dataset {
-                Some(dataset) => files.push((beside(out), dataset.as_bytes())),
+            files.extend(dataset.iter().map(|text| (beside(out), text.as_bytes())));
+            write_together(&files)?;
+            if dataset.is_none() {
                 // One of an earlier export would be believed.
-                None => drop(std::fs::remove_file(beside(out))),
+                let _ = std::fs::remove_file(beside(out));
             }
-            write_together(&files)
+            Ok(())
         }
         ExportFormat::Geotiff => {
             let (picture, site) = ground::picture(&batches, selection.zoom)?;

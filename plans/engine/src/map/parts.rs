@@ -110,6 +110,17 @@ impl Lists {
         }
         Ok(())
     }
+
+    /// That all that was taken is back: a list that is not would be an empty layer.
+    ///
+    /// # Errors
+    /// A fault of ours, for a list that nobody knows.
+    pub fn are_back(&self) -> Result<(), Fault> {
+        match self.0.keys().next() {
+            None => Ok(()),
+            Some(place) => Err(Fault::bug("a list was not put back").at(place)),
+        }
+    }
 }
 
 /// The names of the parts of a version as it is written.

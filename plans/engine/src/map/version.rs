@@ -327,7 +327,8 @@ impl Version {
             lists.fill(&format!("/previous/layers/{name}"), artifacts)?;
         }
         lists.fill("/previous/sessions", &mut self.previous.sessions)?;
-        lists.fill("/sessions", &mut self.sessions)
+        lists.fill("/sessions", &mut self.sessions)?;
+        lists.are_back()
     }
 
     /// What is left of it without the lists that may be long.
